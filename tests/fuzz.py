@@ -323,20 +323,22 @@ def vector_session(rng, scenario, arguments, tally, episodes):
     abused = vector_env(rng, scenario, count, arguments, rng.choice((3, 2048)))
     early = partial(abused.step, np.zeros((count, env.num_players, env.layout.action_size)))
     refuses(early, tally)  # before the first reset
-    observations = refused_start(partial(env.reset, seed), partial(abused.reset, seed), tally)
-    if observations is None:
+    started = refused_start(partial(env.reset, seed), partial(abused.reset, seed), tally)
+    if started is None:
         return
-    spoil(abused.reset(seed))
+    observations, _ = started
+    spoil(abused.reset(seed)[0])
     over, wanted, length = np.zeros(count, dtype=bool), tally.episodes + episodes, np.zeros(count, dtype=int)
     decide, kept = actor(rng, env.layout), []
     while tally.episodes < wanted:
         within(env.single_observation_space, observations)
         if over.all() or (over.any() and rng.random() < 0.5):  # a reset between steps, else within the step
             refuses(early, tally)
-            observations = refused_start(partial(env.reset, mask=over), partial(abused.reset, mask=over), tally)
-            if observations is None:
+            started = refused_start(partial(env.reset, mask=over), partial(abused.reset, mask=over), tally)
+            if started is None:
                 return
-            same((observations,), (abused.reset(mask=over),), "first observations")
+            observations, _ = started
+            same((observations,), abused.reset(mask=over)[:1], "first observations")
             length[over], over = 0, np.zeros(count, dtype=bool)
             decide = actor(rng, env.layout)
             continue

@@ -61,7 +61,7 @@ def network(inputs: int, outputs: int) -> nn.Sequential:
 def law_digits() -> np.ndarray:
     """The digits that the law gains in the same loop."""
     env = VectorParallelEnv(SCENARIO, EPISODES, **LAW)
-    policy, observations = law(env.layout), env.reset(seed=0)
+    policy, (observations, _) = law(env.layout), env.reset(seed=0)
     gained, over = np.zeros(EPISODES), np.zeros(EPISODES, dtype=bool)
     while not over.any():  # the episodes of a scenario end together unless one diverges
         actions, _ = policy.predict(observations.reshape(-1, env.layout.size))
@@ -92,7 +92,7 @@ def main() -> None:
     shape = (args.num_steps, rows)
     states, actions = torch.zeros(*shape, size), torch.zeros(*shape, action_size)
     logprobs, rewards, ends, values = (torch.zeros(shape) for _ in range(4))
-    state = torch.from_numpy(env.reset(seed=args.seed)).reshape(rows, size)
+    state = torch.from_numpy(env.reset(seed=args.seed)[0]).reshape(rows, size)
     for _ in range(args.total_steps // (args.num_steps * rows)):
         with torch.no_grad():
             for step in range(args.num_steps):
@@ -107,7 +107,7 @@ def main() -> None:
                 rewards[step] = torch.from_numpy(reward).reshape(rows)
                 ends[step] = torch.from_numpy(over.repeat(env.num_players)).float()
                 if over.any():
-                    observations = env.reset(mask=over)
+                    observations, _ = env.reset(mask=over)
                 state = torch.from_numpy(observations).reshape(rows, size)
 
             advantages, following, trace = torch.zeros(shape), critic(state).squeeze(-1), torch.zeros(rows)

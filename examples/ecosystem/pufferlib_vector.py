@@ -33,7 +33,7 @@ class Players(pufferlib.PufferEnv):
         """Start all episodes; successive seeds of workers have no episode in common."""
         seed, self.start = self.start if seed is None else seed, None
         first = None if seed is None else seed * self.vector.num_envs
-        self.observations[:] = self.vector.reset(first).reshape(self.num_agents, -1)
+        self.observations[:] = self.vector.reset(first)[0].reshape(self.num_agents, -1)
         return self.observations, []
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, list]:
@@ -42,7 +42,7 @@ class Players(pufferlib.PufferEnv):
         outcome = self.vector.step(np.reshape(actions, (self.vector.num_envs, players, -1)))
         over, observations = outcome.terminated | outcome.truncated, outcome.observations
         if over.any():
-            observations = self.vector.reset(mask=over)
+            observations, _ = self.vector.reset(mask=over)
         self.observations[:] = observations.reshape(self.num_agents, -1)
         self.rewards[:] = outcome.rewards.reshape(-1)
         self.terminals[:], self.truncations[:] = outcome.terminated.repeat(players), outcome.truncated.repeat(players)

@@ -48,7 +48,7 @@ class PlayerVectorEnv(gymnasium.vector.VectorEnv):
     def reset(self, *, seed: int | None = None, options: dict | None = None) -> tuple[np.ndarray, dict]:  # noqa: ARG002
         """Start all episodes; environment b gets seed + b."""
         self.over[:] = False
-        return self.vector.reset(seed).reshape(self.num_envs, -1), {}
+        return self.vector.reset(seed)[0].reshape(self.num_envs, -1), {}
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict]:
         """Step all environments, and start those again that ended in the step before."""

@@ -41,7 +41,7 @@ class Players(BaseVectorEnv):
         members = self._wrap_id(env_id)
         mask = np.zeros(self.vector.num_envs, dtype=bool)
         mask[np.asarray(members) // self.vector.num_players] = True
-        observations = self.vector.reset(seed, mask).reshape(self.env_num, -1)
+        observations = self.vector.reset(seed, mask)[0].reshape(self.env_num, -1)
         return observations[members], np.array([{} for _ in members])
 
     def step(self, action: np.ndarray, id: Any = None) -> tuple[np.ndarray, ...]:  # noqa: A002, ARG002

@@ -204,10 +204,10 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         mask = options.get("reset_mask")
         if mask is not None and not np.any(mask):
             raise ValueError("options['reset_mask'] must name at least one environment to reset")
-        observations = self.vector.reset(seed, mask, options.get("estimates"))
+        observations, infos = self.vector.reset(seed, mask, options.get("estimates"))
         started = np.ones_like(self._over) if mask is None else np.asarray(mask)
         self._over = self._over & ~started
-        return self._joint(observations), _masked(_over_players(self.vector.first_infos()), started)
+        return self._joint(observations), _masked(_over_players(infos), started)
 
     def step(self, actions: Float32Array) -> tuple[Float32Array, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """Step all environments and reset as the autoreset mode says.
@@ -235,8 +235,8 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
                 "final_info": _masked(infos, over),
                 "_final_info": over.copy(),
             }
-            observations = self._joint(self.vector.reset(mask=over))
-            first = _over_players(self.vector.first_infos())
+            fresh, first = self.vector.reset(mask=over)
+            observations, first = self._joint(fresh), _over_players(first)
             infos = {name: np.where(over, first[name], values) for name, values in infos.items()}
             self._over = np.zeros_like(over)
         infos = {**final, **_masked(infos, np.ones_like(over))}

@@ -80,7 +80,7 @@ class PlayerVecEnv(VecEnv):
 
     def reset(self) -> Float32Array:
         """Start all episodes; observations of shape (B·N, size)."""
-        observations = self.vector.reset(self._seeds[:: self._players])
+        observations, _ = self.vector.reset(self._seeds[:: self._players])
         self._returns[:], self._lengths[:] = 0, 0
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._reset_seeds()
@@ -112,7 +112,7 @@ class PlayerVecEnv(VecEnv):
             for member in np.flatnonzero(dones).tolist():
                 infos[member] = self._last_info(outcome, member)
             self._returns[dones], self._lengths[dones] = 0, 0
-            observations = self.vector.reset(mask=over)
+            observations, _ = self.vector.reset(mask=over)
         return observations.reshape(self.num_envs, -1), rewards, dones, infos
 
     def _last_info(self, outcome: VectorStep, member: int) -> dict[str, Any]:

@@ -114,7 +114,7 @@ class VectorParallelEnv:
         seed: int | Sequence[int | None] | None = None,
         mask: npt.ArrayLike | None = None,
         estimates: npt.ArrayLike | None = None,
-    ) -> Float32Array:
+    ) -> tuple[Float32Array, dict[str, Any]]:
         """Start episodes.
 
         Args:
@@ -123,7 +123,8 @@ class VectorParallelEnv:
             estimates: initial estimates instead of drawn ones, shape (N, n) for all or (B, N, n), row i being x^i(0).
 
         Returns:
-            Observations of all environments, shape (B, N, size), float32, owned by the caller.
+            Observations of all environments, shape (B, N, size), float32, owned by the caller; and their infos as
+            :class:`VectorStep` has them, as if all had just started.
 
         Raises:
             ValueError: for an invalid seed, a wrong number of seeds, a mask of another shape or dtype, a mask that
@@ -143,7 +144,7 @@ class VectorParallelEnv:
                 block.begin(start)
             block.observe(observations[part])
         self._over = self._over & ~chosen
-        return observations
+        return observations, self._first_infos()
 
     def step(self, actions: npt.NDArray[np.floating], restart: BoolArray | None = None) -> VectorStep:
         """Hold all players' inputs for one step.
@@ -197,12 +198,8 @@ class VectorParallelEnv:
         rewards = self._by_env([outcome.rewards for outcome in outcomes])
         return VectorStep(observations, rewards, terminated, truncated, infos)
 
-    def first_infos(self) -> dict[str, Any]:
-        """The infos of environments that have just started, with the keys, shapes and dtypes of :class:`VectorStep`.
-
-        Raises:
-            RuntimeError: before the first reset.
-        """
+    def _first_infos(self) -> dict[str, Any]:
+        """The infos of environments that have just started, with the keys, shapes and dtypes of :class:`VectorStep`."""
         batch, players = self.num_envs, self.num_players
         return {
             "diverged": np.zeros(batch, dtype=np.bool_),

@@ -15,12 +15,10 @@ from ptne_env.shared.arrays import Float32Array, IntArray
 WITNESSES = 8
 """Most witnesses of a thorough audit."""
 
-ROUNDING = 1e-5
-"""Share of the largest action by which decisions may differ: libraries round small batches in another order."""
-
 NOT_ROW_WISE = (
     "its decisions are not row-wise: with other rows in the batch it decides differently. A decision may depend on the "
-    "player's own observation and memory alone, and must repeat but for float32 rounding (1e-5 of the largest action)"
+    "player's own observation and memory alone, and must repeat bit for bit, except for rounding that depends on the "
+    "number of rows"
 )
 """Reason of a failure: the witness received other rows and decided differently."""
 
@@ -34,8 +32,12 @@ OWN_LINKS_EPISODES = 16
 """Most episodes of a witness that was built from the knowledge of one player."""
 
 
+class AuditError(PolicyError):
+    """A witness decided differently."""
+
+
 class Witness:
-    """A second, fresh policy that receives a sample of the rows and must decide the same, but for rounding.
+    """A second, fresh policy that receives a sample of the rows and must decide the same, bit for bit.
 
     It runs in lockstep with the policy that is measured, and gets no row of a teammate. So decisions that depend on
     the observations of other players, or on anything else that the rows of a batch share, differ.
@@ -44,12 +46,14 @@ class Witness:
         policy: a fresh policy.
         rows: indices of the rows of the batch that it receives, in its own order.
         reason: of the failure when a decision differs.
+        fills: whether it receives a batch of full size, with the rows in their places and copies of them in all others.
+            Libraries of linear algebra round a row otherwise in a batch of another size, and in another place.
     """
 
-    def __init__(self, policy: Policy, rows: IntArray, reason: str = NOT_ROW_WISE) -> None:
-        self._policy, self._rows, self._reason = policy, rows, reason
+    def __init__(self, policy: Policy, rows: IntArray, reason: str = NOT_ROW_WISE, *, fills: bool = False) -> None:
+        self._policy, self._rows, self._reason, self._fills = policy, rows, reason, fills
         self._memory: Any = None
-        self._starts = np.ones(len(rows), dtype=np.bool_)
+        self._is_first = True
 
     def compare(self, observations: Float32Array, actions: npt.NDArray[Any]) -> None:
         """Let the witness decide, and compare.
@@ -59,14 +63,18 @@ class Witness:
             actions: of the policy that is measured, shape (R, action size).
 
         Raises:
-            PolicyError: when a decision differs.
+            AuditError: when a decision differs.
         """
-        again, self._memory = decision(self._policy, observations[self._rows], self._memory, self._starts)
-        self._starts = np.zeros_like(self._starts)
-        expected = np.asarray(actions[self._rows], dtype=np.float64)
-        error = np.abs(np.asarray(again, dtype=np.float64) - expected)
-        if not (error <= ROUNDING * np.abs(expected).max(initial=0.0)).all():  # NaN is a difference, too
-            raise PolicyError(self._reason)
+        shown = rows = self._rows
+        places: Any = slice(None)
+        if self._fills:
+            shown, places = np.resize(rows, len(observations)), rows
+            shown[rows] = rows
+        starts = np.full(len(shown), self._is_first)
+        again, self._memory = decision(self._policy, observations[shown], self._memory, starts)
+        self._is_first = False
+        if not np.array_equal(np.asarray(again)[places], actions[rows]):
+            raise AuditError(self._reason)
 
 
 def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray]:

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
-from ptne_env.evaluation.audit import USES_OTHER_LINKS, Witness, rows_of_one, sample_rows, with_links_of
+from ptne_env.evaluation.audit import USES_OTHER_LINKS, AuditError, Witness, rows_of_one, sample_rows, with_links_of
 from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.metrics import measure
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.evaluation.tracks import Track
 from ptne_env.perception.encoder import make_encoder
-from ptne_env.perception.observation import LayoutError
+from ptne_env.perception.observation import LayoutError, ObservationLayout
 from ptne_env.perception.policy import PolicyError
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.world.dynamics import State
@@ -49,33 +49,41 @@ class Job:
             thorough: whether a witness per player audits, and not one for all, also where the policy ships.
         """
         world = self.track.world
-        teammates = None if self.track.teammates is None else self.track.teammates.join(world)
-        taken = () if teammates is None else teammates.players
+        team = self.track.teammates
+        taken = () if team is None else team.players
         deciding = [player for player in range(world.game.num_players) if player not in taken]
+        audited = thorough or self.policy.is_own
         try:
             encoder = make_encoder(world, self.policy.interface)
-            policy = self.policy.build(encoder.layout, self.training_seed)
-            witnesses = []
-            if thorough or self.policy.is_own:
-                witnesses = self._witnesses(encoder.layout, deciding, thorough=thorough)
             start = _initial_state(world, self.episodes)
-            samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
+            for fills in (False, True):
+                policy = self.policy.build(encoder.layout, self.training_seed)
+                witnesses = self._witnesses(encoder.layout, deciding, thorough=thorough, fills=fills) if audited else ()
+                try:
+                    teammates = team and team.join(world)
+                    samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
+                    break
+                except AuditError:  # perhaps of rounding, which a batch of the same size excludes
+                    if fills:
+                        raise
         except LayoutError as error:
             return JobResult(not_applicable=str(error))
         except PolicyError as error:
             return JobResult(failure=str(error))
         return JobResult({name: _rounded(values) for name, values in samples.items()})
 
-    def _witnesses(self, layout: Any, deciding: Sequence[int], *, thorough: bool) -> list[Witness]:
+    def _witnesses(
+        self, layout: ObservationLayout, deciding: Sequence[int], *, thorough: bool, fills: bool
+    ) -> list[Witness]:
         """Fresh policies that audit the decisions, the last one with the links of one player alone."""
         rows = sample_rows(self.episodes.count, len(deciding), thorough=thorough)
-        found = [Witness(self.policy.build(layout, self.training_seed), chosen) for chosen in rows]
+        found = [Witness(self.policy.build(layout, self.training_seed), chosen, fills=fills) for chosen in rows]
         place, chosen = rows_of_one(self.episodes.count, len(deciding))
         try:
             alone = self.policy.build(with_links_of(layout, deciding[place]), self.training_seed)
         except LayoutError as error:
             raise PolicyError(f"{USES_OTHER_LINKS}. It cannot be built from them: {error}") from None
-        return [*found, Witness(alone, chosen, USES_OTHER_LINKS)]
+        return [*found, Witness(alone, chosen, USES_OTHER_LINKS, fills=fills)]
 
 
 def _rounded(values: FloatArray) -> FloatArray:

@@ -149,7 +149,7 @@ class Member:
         try:
             chosen = self._ask(observations.reshape(rows, -1)).reshape(shape)
         except PolicyError as error:
-            raise PolicyError(f"step {int(state.step[0])}: {error}") from error
+            raise type(error)(f"step {int(state.step[0])}: {error}") from error
         except MemoryError:
             raise
         except Exception as error:  # of the policy or of a witness

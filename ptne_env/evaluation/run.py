@@ -100,7 +100,10 @@ def compare(
         raise ValueError("a comparison needs at least one policy")
     if len(specs) < len(policies):
         names = ", ".join(spec.name for spec in policies)
-        raise ValueError(f"a comparison needs different names, got {names}; a file gets another name by 'name=path', an object by PolicySpec(name, object)")
+        raise ValueError(
+            f"a comparison needs different names, got {names}; a file gets another name by 'name=path', and an object "
+            "by PolicySpec(name, object)"
+        )
     jobs = [
         Job(track, spec, training_seed, episodes[track.name])
         for track in tracks

@@ -105,10 +105,10 @@ class TorchRLEnv(EnvBase):
         mask = np.ones(self.vector.num_envs, dtype=np.bool_) if given is None else given.reshape(-1).numpy(force=True)
         if seed is not None:
             self._set_seed(seed)
-        observations = self.vector.reset(self._seeds, mask)
+        observations, infos = self.vector.reset(self._seeds, mask)
         self._seeds = [None if start else own for own, start in zip(self._seeds, mask, strict=True)]
         terminated, truncated = np.zeros((2, self.vector.num_envs), dtype=np.bool_)
-        return self._output({"observation": observations}, self.vector.first_infos(), terminated, truncated)
+        return self._output({"observation": observations}, infos, terminated, truncated)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         """Step all environments.

@@ -109,19 +109,23 @@ def get_scenario(scenario: str | Scenario, *, players: int | None = None, **over
         given = type(scenario).__name__
         raise TypeError(f"a scenario is a name or a Scenario, such as env.scenario of an environment; got a {given}")
     scenario = scenario.replace(**overrides)
-    if players is None:
-        return scenario
-    changed = {field: _resized(scenario, field, players) for field in ("game", "topology") if field not in overrides}
-    return scenario.replace(**changed)
+    return scenario if players is None else _resized(scenario, players, overrides)
 
 
-def _resized(scenario: Scenario, field: str, players: int) -> FactorySpec:
-    """The game or the topology of a scenario, for another number of players."""
-    part: FactorySpec = getattr(scenario, field)
-    if "players" not in dict(part.arguments):
-        sized = {"game": "game:random-energy", "topology": "topology:cycle"}[field]
+def _resized(scenario: Scenario, players: int, given: Mapping[str, Any]) -> Scenario:
+    """A scenario with another number of players in its game and topology, except where they are given."""
+    parts: dict[str, FactorySpec] = {
+        name: getattr(scenario, name) for name in ("game", "topology") if name not in given
+    }
+    fixed = [name for name, part in parts.items() if "players" not in dict(part.arguments)]
+    if fixed:
+        sized = {"game": "game:random-energy", "topology": "topology:cycle"}
         raise ValueError(
-            f"the {field} of {scenario.name!r} has a fixed number of players: pass another one beside players={players}"
-            f", such as {field}=FactorySpec.of({sized!r}, players={players})"
+            f"{scenario.name!r} has a {' and a '.join(fixed)} of fixed size: beside players={players}, pass another, "
+            "such as " + ", ".join(f"{name}=FactorySpec.of({sized[name]!r}, players={players})" for name in fixed)
         )
-    return FactorySpec.of(part.target, **{**dict(part.arguments), "players": players})
+    resized = {
+        name: FactorySpec.of(part.target, **{**dict(part.arguments), "players": players})
+        for name, part in parts.items()
+    }
+    return scenario.replace(**resized)

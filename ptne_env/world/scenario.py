@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
-import networkx
 import numpy as np
 
 from ptne_env.shared.arrays import require_printable
@@ -40,9 +39,11 @@ def _as_spec(field: str, value: Any) -> FactorySpec:
         return UNIFORM_START if (field, value) == ("start", "random") else FactorySpec.of(_target(field, value))
     if isinstance(value, Part | type | FunctionType):
         return FactorySpec.naming(value)
-    if field == "topology" and isinstance(value, networkx.Graph):
-        value = networkx.to_numpy_array(value)
-    if not (isinstance(value, np.ndarray) and field in _ARRAYS):
+    if field == "topology" and type(value).__module__.startswith("networkx."):
+        import networkx as nx
+
+        value = nx.to_numpy_array(value)
+    if not (isinstance(value, np.ndarray | list | tuple) and field in _ARRAYS):
         raise ValueError(
             f"{field} is an object of the library's class for it, the id of a part, a 'module:object' string or a "
             f"FactorySpec, got a {type(value).__name__}"
@@ -75,8 +76,8 @@ class Scenario:
         game: builds a :class:`~ptne_env.games.Game`, or a :class:`~ptne_env.games.GameFamily` of which every episode
             draws one game.
         topology: builds a :class:`~ptne_env.world.switching.SwitchingTopology` on the game's players, or a
-            :class:`~ptne_env.world.graphs.Graph` that never changes; also the array a_ij of such a graph, (N, N), or a
-            graph of networkx, whose attribute ``weight`` is a_ij, and its nodes in their order the players.
+            :class:`~ptne_env.world.graphs.Graph` that never changes; also its array a_ij, (N, N), or a graph of
+            networkx, whose nodes are the players in their order, and whose attribute ``weight`` is a_ij.
         start: builds a :class:`~ptne_env.world.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20));
             also an array (N, n), row i being x^i(0).
         transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``.

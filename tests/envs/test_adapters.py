@@ -58,7 +58,7 @@ class Vector(Parallel):
 
     @staticmethod
     def reset(env, seed=None):
-        return (env.reset(seed),)
+        return env.reset(seed)
 
     @staticmethod
     def step(env, actions):
@@ -340,7 +340,7 @@ def together(records):
 
 
 def check_vector(env, first, steps, actions):
-    np.testing.assert_array_equal(env.reset(seed=SEED), first, strict=True)
+    np.testing.assert_array_equal(env.reset(seed=SEED)[0], first, strict=True)
     for step, rows in zip(steps, actions, strict=True):
         outcome = env.step(rows)
         for name, values in step.infos.items():
@@ -351,7 +351,7 @@ def check_vector(env, first, steps, actions):
         np.testing.assert_array_equal(outcome.terminated, step.terminated, strict=True)
         np.testing.assert_array_equal(outcome.truncated, step.truncated, strict=True)
         if step.over.any():
-            np.testing.assert_array_equal(env.reset(mask=step.over), step.following, strict=True)
+            np.testing.assert_array_equal(env.reset(mask=step.over)[0], step.following, strict=True)
 
 
 def check_players(env, first, steps, actions):

@@ -66,7 +66,7 @@ def test_attributes_and_methods_are_those_of_the_environments():
     assert env.get_attr("colour", indices=[0]) == ["blue"]
     answers = env.env_method("reset", seed=5, indices=[2, 3])
     assert len(answers) == 2
-    assert np.array_equal(answers[0], VectorParallelEnv("random-energy", 2, interface="scaled").reset(seed=5))
+    assert np.array_equal(answers[0][0], VectorParallelEnv("random-energy", 2).reset(seed=5)[0])
     assert env.env_is_wrapped(Monitor) == [True] * 10
     assert env.env_is_wrapped(VecNormalize, indices=[1, 2]) == [False] * 2
     env.close()

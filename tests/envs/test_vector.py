@@ -20,6 +20,11 @@ def make(name="random-energy", num_envs=5, **arguments):
     return VectorParallelEnv(name, num_envs, **{"interface": "physical", **SHORT, **arguments})
 
 
+def first(env, **arguments):
+    """The observations of a reset."""
+    return env.reset(**arguments)[0]
+
+
 def go_on(env, steps, seed=1):
     """All that is returned in ``steps`` steps, with a reset after each end."""
     generator, record = np.random.default_rng(seed), []
@@ -34,7 +39,7 @@ def go_on(env, steps, seed=1):
 
 def test_shapes_and_dtypes_are_as_documented(block_size):
     env = make(reward={"digits": 1.0, "payoff": 1e-3})
-    observations = env.reset(seed=0)
+    observations, infos = env.reset(seed=0)
     outcome = env.step(random_actions(env, np.random.default_rng(0)))
     assert type(outcome) is VectorStep
     returned = {
@@ -54,17 +59,20 @@ def test_shapes_and_dtypes_are_as_documented(block_size):
         "reward_digits": ((5, 5), np.float64),
         "reward_payoff": ((5, 5), np.float64),
     }
+    assert {name: (array.shape, array.dtype) for name, array in infos.items()} == {
+        name: (array.shape, array.dtype) for name, array in outcome.infos.items()
+    }
     assert env.single_observation_space.shape == (env.layout.size,)
     assert env.single_action_space.shape == (env.layout.action_size,)
 
 
 def test_a_seed_is_counted_up_and_a_list_is_taken_as_it_is(block_size):
     env = make(num_envs=4)
-    counted = env.reset(seed=20)
-    assert np.array_equal(env.reset(seed=[20, 21, 22, 23]), counted)
-    assert np.array_equal(env.reset(seed=np.int64(20)), counted)
-    assert np.array_equal(env.reset(seed=np.arange(20, 24)), counted)
-    assert np.array_equal(env.reset(seed=[23, 22, 21, 20]), counted[::-1])
+    counted = first(env, seed=20)
+    assert np.array_equal(first(env, seed=[20, 21, 22, 23]), counted)
+    assert np.array_equal(first(env, seed=np.int64(20)), counted)
+    assert np.array_equal(first(env, seed=np.arange(20, 24)), counted)
+    assert np.array_equal(first(env, seed=[23, 22, 21, 20]), counted[::-1])
     assert len({row.tobytes() for row in counted}) == 4
     alone = make_env("random-energy", **SHORT)
     for index in range(4):
@@ -74,15 +82,15 @@ def test_a_seed_is_counted_up_and_a_list_is_taken_as_it_is(block_size):
 
 def test_without_a_seed_the_generators_continue(block_size):
     env, other = make(), make()
-    first = env.reset(seed=1)
-    second = env.reset()
-    assert not np.any(np.all(first == second, axis=(1, 2)))
+    one = first(env, seed=1)
+    second = first(env)
+    assert not np.any(np.all(one == second, axis=(1, 2)))
     other.reset(seed=1)
-    assert np.array_equal(other.reset(), second)
-    mixed = other.reset(seed=[1, None, None, 4, None])
-    assert np.array_equal(mixed[[0, 3]], first[[0, 3]])
-    assert np.array_equal(mixed[[1, 2, 4]], env.reset()[[1, 2, 4]])
-    assert not np.array_equal(make().reset(), make().reset())
+    assert np.array_equal(first(other), second)
+    mixed = first(other, seed=[1, None, None, 4, None])
+    assert np.array_equal(mixed[[0, 3]], one[[0, 3]])
+    assert np.array_equal(mixed[[1, 2, 4]], first(env)[[1, 2, 4]])
+    assert not np.array_equal(first(make()), first(make()))
 
 
 def test_a_mask_restarts_only_its_environments(block_size):
@@ -90,18 +98,18 @@ def test_a_mask_restarts_only_its_environments(block_size):
     env.reset(seed=0)
     before = go_on(env, 3)[-1][0]
     mask = np.array([False, True, True, False, False])
-    observations = env.reset(mask=mask)
+    observations = first(env, mask=mask)
     assert np.array_equal(observations[~mask], before[~mask])
     assert not np.any(np.all(observations[mask] == before[mask], axis=(1, 2)))
     clock = env.layout.select(observations, "clock")[:, 0, 0]
     assert np.array_equal(clock == 0, mask)
-    seeded = env.reset(seed=[50, 51, 52, 53, 54], mask=mask)
-    assert np.array_equal(seeded[mask], make(steps=60).reset(seed=50)[mask])
+    seeded = first(env, seed=[50, 51, 52, 53, 54], mask=mask)
+    assert np.array_equal(seeded[mask], first(make(steps=60), seed=50)[mask])
     assert np.array_equal(seeded[~mask], before[~mask])
-    assert np.array_equal(env.reset(mask=[False] * 5), seeded)
+    assert np.array_equal(first(env, mask=[False] * 5), seeded)
     undisturbed = make(steps=60)
     undisturbed.reset(seed=0)
-    assert np.array_equal(env.reset()[~mask], undisturbed.reset()[~mask])  # the seeds of others did not count
+    assert np.array_equal(first(env)[~mask], first(undisturbed)[~mask])  # the seeds of others did not count
 
 
 @pytest.mark.parametrize("reward", ["digits", {"tracking": 1.0, "payoff": 1e-3}])
@@ -114,7 +122,7 @@ def test_restarting_within_a_step_is_a_reset_without_a_step(reward, block_size):
         actions = random_actions(env, generator)
         kept = restart.copy()
         ours, theirs = env.step(actions, restart), by_hand.step(actions)
-        observations = by_hand.reset(mask=restart)
+        observations = first(by_hand, mask=restart)
         assert np.array_equal(restart, kept)
         assert np.array_equal(ours.observations, observations)
         assert np.array_equal(ours.rewards, np.where(restart[:, None], 0.0, theirs.rewards))
@@ -158,7 +166,7 @@ def test_the_first_reset_starts_every_environment(block_size):
     env = make()
     with pytest.raises(ValueError, match=r"the first reset\(\) starts every environment: leave out the mask"):
         env.reset(seed=0, mask=[True, True, False, False, False])
-    assert np.array_equal(env.reset(seed=0), make().reset(seed=0))
+    assert np.array_equal(first(env, seed=0), first(make(), seed=0))
 
 
 def test_step_of_environments_that_are_over_or_not_started_names_the_first(block_size):
@@ -189,12 +197,3 @@ def test_a_bad_restart_mask_is_refused_and_no_environment_moves():
     with pytest.raises(ValueError, match="a restart mask is 5 booleans, got int64"):
         env.step(actions, np.ones(5, dtype=np.int64))
     assert np.array_equal(env.step(actions).observations, undisturbed.step(actions).observations)
-
-
-def test_first_infos_have_the_keys_shapes_and_dtypes_of_steps():
-    env = make(reward={"digits": 1.0, "payoff": 0.1})
-    env.reset(seed=0)
-    first, later = env.first_infos(), env.step(np.zeros((5, 5, 5))).infos
-    assert [(name, each.shape, each.dtype) for name, each in first.items()] == [
-        (name, each.shape, each.dtype) for name, each in later.items()
-    ]

@@ -65,14 +65,14 @@ def test_policies_that_ship_pass_the_thorough_audit_by_which_a_run_takes_them_on
 class Mixing(laws.Static):
     """The static law, whose rows talk to each other from a step on, in large enough batches."""
 
-    def __init__(self, layout, first=0, smallest=2):
+    def __init__(self, layout, first=0, smallest=2, share=1e-3):
         super().__init__(layout)
-        self.first, self.smallest, self.calls = first, smallest, 0
+        self.first, self.smallest, self.share, self.calls = first, smallest, share, 0
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         actions, state = super().predict(observation, state, episode_start, deterministic)
         if self.calls >= self.first and len(observation) >= self.smallest:
-            actions = actions + 1e-3 * np.float32(observation.mean())
+            actions = actions + np.float32(self.share * observation.mean())
         self.calls += 1
         return actions, state
 
@@ -106,6 +106,7 @@ class NeedsLinks(laws.Static):
     ("policy", "reason"),
     [
         (Mixing, "not row-wise"),
+        (lambda layout: Mixing(layout, share=1e-9), "not row-wise"),  # a message in the last bits
         (lambda layout: Mixing(layout, first=100), "step 100: its decisions are not row-wise"),
         (lambda layout: Mixing(layout, smallest=20), "not row-wise"),
         (ThroughMemory, "not row-wise"),
@@ -117,6 +118,19 @@ def test_decisions_that_are_not_row_wise_or_use_other_links_fail_the_audit(polic
     results = evaluate([PolicySpec("cheat", policy, laws.Static.interface), "static"], BASE, episodes=5)
     assert re.search(reason, results.failures[BASE.name, "cheat"])
     assert (BASE.name, "static") in results.samples
+
+
+@pytest.mark.parametrize("episodes", [1, 2, 3, 7])
+def test_rounding_that_depends_on_the_size_of_the_batch_passes_the_audit(episodes):
+    """As torch does it: rows of small batches, and the last numbers of a batch, are rounded otherwise."""
+
+    class Rounding(laws.Static):
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            actions, state = super().predict(observation, state, episode_start, deterministic)
+            shifted = np.arange(len(actions))[:, None] >= len(actions) // 4 * 4
+            return np.where(shifted, np.nextafter(actions, np.float32(np.inf)), actions), state
+
+    assert evaluate(Rounding, BASE, episodes=episodes).samples
 
 
 def test_policies_of_the_user_are_audited_and_those_that_ship_are_not(tmp_path, monkeypatch):

@@ -66,9 +66,11 @@ def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch)
         get_policy_spec("mine=*.py")
 
 
-@pytest.mark.parametrize("policy", [laws.Static, 5, None, FactorySpec.of("law:static")])
-def test_an_object_that_is_no_spec_is_refused_with_the_way_to_wrap_it(policy):
-    with pytest.raises(ValueError, match=r"a policy is a string or a PolicySpec, got .*PolicySpec\(name, policy\)"):
+@pytest.mark.parametrize("policy", [len, 5, None, FactorySpec.of("law:static")])
+def test_an_object_that_is_no_policy_is_refused_with_the_way_to_wrap_it(policy):
+    with pytest.raises(
+        ValueError, match=r"a policy is a string, an object with .*, got .*PolicySpec\(name, function\)"
+    ):
         evaluate([policy], ["energy"], episodes=1)
 
 

@@ -50,6 +50,7 @@ def test_a_policy_may_be_a_class_a_factory_spec_a_callable_or_an_object():
         PolicySpec("factory", FactorySpec.of("law:static", kappa=2.0)),
         PolicySpec("callable", lambda layout: laws.Static(layout, kappa=2.0), ptne_env.Interface("physical")),
         PolicySpec("object", laws.Static(env.layout)),
+        laws.Static,
         get_policy_spec("ptne_env.laws:Static"),
         "law:static",
         "static",
@@ -92,7 +93,7 @@ def test_a_comparison_takes_tracks_and_runs_the_jobs_by_what_it_is_given():
             {"scenarios": [ptne_env.parallel_env("energy")]},
             r"such as env.scenario of an environment; got a NashSeeking",
         ),
-        ({"policies": laws.Static}, r"a policy of your own is PolicySpec\(name, policy\)"),
+        ({"policies": dict}, r"got the class dict; .* a policy is an object with predict, or PolicySpec\(name, "),
         ({"run": 4}, r"run takes jobs, as ptne_env.bench.Runner\(folder, Workers\(4\)\) does; got 4"),
     ],
 )
