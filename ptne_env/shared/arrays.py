@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
+from functools import reduce
 from numbers import Real
+from operator import add
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -23,6 +25,10 @@ _MANY = 64
 
 _SHORT = 16
 """Longest row of which the maximum is found column by column."""
+
+
+_FEW = 64
+"""Most terms that compiled code adds one by one."""
 
 
 def is_numpy(array: Any) -> bool:
@@ -142,7 +148,9 @@ def fold(ufunc: np.ufunc, array: Array, axis: int) -> Array:
 def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:
     """The sum along ``axis`` in order. Numpy's own order depends on the memory layout, so on the size of the batch."""
     if not is_numpy(array):
-        return array.sum(axis)
+        # Compiled, a sum of few terms is several times as fast as a reduction.
+        terms = array_namespace(array).moveaxis(array, axis, 0)
+        return reduce(add, terms) if 0 < len(terms) <= _FEW else terms.sum(0)
     if array.dtype == np.float64 and array.size >= _MANY * array.shape[axis] > 0:
         return fold(np.add, array, axis)
     return np.add.accumulate(array, axis=axis).take(-1, axis=axis)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ptne_env.games import Game
-from ptne_env.shared.arrays import BoolArray, FloatArray, array_namespace, ordered_sum, root
+from ptne_env.shared.arrays import BoolArray, FloatArray, array_namespace, is_numpy, ordered_sum, root
 
 FLOOR = 1e-12
 """Lower bound of a distance before its logarithm is taken: at most twelve digits count."""
@@ -25,10 +25,15 @@ _FAILED.flags.writeable = False
 
 def player_distances(estimates: FloatArray, game: Game) -> FloatArray:
     """d^i = ‖x^i − x*‖/‖x*‖ of each player's estimate: (n, N, B) to (N, B)."""
-    errors = estimates - game.nash_equilibria[:, None, :]
-    distances = root(array_namespace(errors).einsum("cib,cib->ib", errors, errors))
+    distances = root(player_squares(estimates, game))
     distances /= game.equilibrium_scale
     return distances
+
+
+def player_squares(estimates: FloatArray, game: Game) -> FloatArray:
+    """‖x^i − x*‖² of each player's estimate: (n, N, B) to (N, B)."""
+    errors = estimates - game.nash_equilibria[:, None, :]
+    return np.einsum("cib,cib->ib", errors, errors) if is_numpy(errors) else ordered_sum(errors**2)
 
 
 def strategy_distance(strategies: FloatArray, game: Game) -> FloatArray:

@@ -12,5 +12,7 @@ os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_cpu
 def _x64():
     import jax
 
-    with jax.enable_x64(True):
-        yield
+    before = jax.config.jax_enable_x64
+    jax.config.update("jax_enable_x64", val=True)
+    yield
+    jax.config.update("jax_enable_x64", before)
