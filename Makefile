@@ -39,7 +39,7 @@ publish: $(VENV)/.test
 	$(BIN)/python baselines/publish.py
 
 reproduce: $(VENV)/.bench
-	$(BIN)/ptne reproduce --out $(OUT)/paper
+	$(BIN)/python baselines/reproduce.py --out $(OUT)/paper
 
 docs: $(VENV)/.docs
 	$(BIN)/sphinx-build --builder html --jobs auto --conf-dir docs --quiet . $(OUT)/site

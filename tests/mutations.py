@@ -122,11 +122,11 @@ MUTATIONS = (
         "evaluation/test_audit.py",
     ),
     Mutation(
-        "a table of the check",
-        "bench/check.py",
+        "a table of the verification",
+        "bench/verification.py",
         "        differences = list(_differences_of_tables(results, data))",
         "        differences = []",
-        "bench/test_check.py",
+        "bench/test_verification.py",
     ),
     Mutation(
         "a constant of the game",

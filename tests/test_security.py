@@ -20,8 +20,8 @@ from typer.testing import CliRunner
 
 from ptne_env import Scenario, get_scenario
 from ptne_env.bench import Suite, run_suite
-from ptne_env.bench.check import check
 from ptne_env.bench.files import read_results
+from ptne_env.bench.verification import verify
 from ptne_env.cli import app, options
 from ptne_env.evaluation import Track, get_policy_spec
 from ptne_env.shared.parts import foreign_targets
@@ -164,12 +164,12 @@ def results(data, tmp_path):
         lambda data: data["tracks"][0].update(teammates={"policy": CALL, "players": [0]}),
     ],
 )
-def test_a_check_runs_nothing_of_results_without_trust(change, results):
+def test_a_verification_runs_nothing_of_results_without_trust(change, results):
     folder = results(change)
     assert foreign_targets(read_results(folder)) == ["test_security:mark"]
     with pytest.raises(ValueError, match=r"names code outside this library.*--trust"):
-        check(folder)
-    error = CliRunner().invoke(app, ["check", str(folder)]).exception
+        verify(folder)
+    error = CliRunner().invoke(app, ["verify", str(folder)]).exception
     assert "would run code from outside the library: say --trust" in str(error)
     assert CALLED == []
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from enum import IntEnum
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.text import Text
+from typer.core import TyperCommand, TyperGroup
 
 from ptne_env._version import __version__
 from ptne_env.cli.console import console, output
@@ -29,13 +30,34 @@ class ExitCode(IntEnum):
     """Ctrl-C."""
 
 
+def _without_type(parameters: list[Any]) -> list[Any]:
+    """The parameters of a command, where a flag shows no type: typer would write ``<bool>`` beside it."""
+    for parameter in parameters:
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = ""
+    return parameters
+
+
+class _Group(TyperGroup):
+    def get_params(self, ctx: typer.Context) -> list[Any]:
+        return _without_type(super().get_params(ctx))
+
+
+class Command(TyperCommand):
+    """The class of every command."""
+
+    def get_params(self, ctx: typer.Context) -> list[Any]:  # noqa: D102 - typer's
+        return _without_type(super().get_params(ctx))
+
+
 app = typer.Typer(
+    cls=_Group,
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",  # so that the paragraphs of docstrings fill the width of the terminal
     help="Prescribed-time Nash-equilibrium seeking: compare policies with the analytical laws of Feng and Hu's paper, "
-    "reproduce the paper, and certify scenarios beforehand.",
+    "and certify scenarios beforehand.",
 )
 
 

@@ -12,13 +12,13 @@ from ptne_env.bench import find_scenario
 from ptne_env.bench.report.certificates import certificate_tables
 from ptne_env.bench.report.terminal import show
 from ptne_env.cli import options
-from ptne_env.cli.app import app
+from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, console, json_text, say, write_json
 from ptne_env.evaluation import POLICIES, get_policy_spec
 from ptne_env.shared.parts import FactorySpec
 
 
-@app.command()
+@app.command(cls=Command)
 def certify(
     scenario: options.World,
     *,

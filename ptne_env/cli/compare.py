@@ -14,7 +14,7 @@ from ptne_env.bench.report import comparison
 from ptne_env.bench.report.terminal import answer_tables, result_tables
 from ptne_env.bench.suite import SUITES, get_suite, world_names
 from ptne_env.cli import options
-from ptne_env.cli.app import ExitCode, app
+from ptne_env.cli.app import Command, ExitCode, app
 from ptne_env.cli.console import STDOUT, check_writable, console, progress, say, write_json
 from ptne_env.evaluation import COMPARED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
 from ptne_env.evaluation.run import EPISODES
@@ -35,12 +35,12 @@ def _complete_policy(incomplete: str) -> list[str]:
     return [f"{done}{comma}{name}" for name in POLICIES]
 
 
-@app.command()
+@app.command(cls=Command)
 def compare(
     scenario: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[SCENARIO]...",
+            metavar="SCENARIO",
             help="Scenarios by name or 'module:object', or tracks of one suite, such as ptne-v1/liar; with --suite "
             "the names of tracks. All tracks of the suite if left out. See 'ptne list'.",
             autocompletion=world_names,

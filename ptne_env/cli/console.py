@@ -21,7 +21,7 @@ from ptne_env.bench.files import require_writable
 from ptne_env.shared.files import write_atomically
 
 _PIPE_WIDTH = 172
-"""Width of tables where the output is no terminal; rich would cut them to 80 columns."""
+"""Width of tables where the output is no terminal and ``COLUMNS`` is not set; rich would cut them to 80 columns."""
 
 _BLANKS = "\n\N{NO-BREAK SPACE}"
 """Characters that are written as they are, although Python does not call them printable."""
@@ -74,7 +74,7 @@ def console(*, stderr: bool = False) -> Console:
     stream = sys.stderr if stderr else sys.stdout
     return _PrintableConsole(
         stderr=stderr,
-        width=None if stream.isatty() else _PIPE_WIDTH,
+        width=None if stream.isatty() or "COLUMNS" in os.environ else _PIPE_WIDTH,
         quiet=not stderr and (output.quiet or output.stdout is not None),
         color_system=None if os.environ.get("NO_COLOR") else "auto",  # rich alone would still write bold and dim
     )

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from ptne_env.bench.suite import SUITES, get_suite
 from ptne_env.cli import options
-from ptne_env.cli.app import app
+from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, console, json_text, write_json
 from ptne_env.evaluation import METRICS, POLICIES
 from ptne_env.world.catalogue import CATALOGUE, DESCRIPTIONS
@@ -53,7 +53,7 @@ def _entries(kind: Kind) -> Iterator[Entry]:
                 yield from ((f"{name}/{track.name}", track.change, "") for track in get_suite(name).tracks)
 
 
-@app.command("list")
+@app.command("list", cls=Command)
 def list_(
     kind: Annotated[list[Kind] | None, typer.Argument(help="The kinds of names. All if left out.")] = None,
     json: options.Json = None,

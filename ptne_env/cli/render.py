@@ -10,12 +10,12 @@ import typer
 from ptne_env.bench import find_scenario
 from ptne_env.bench.report.video import save_video
 from ptne_env.cli import options
-from ptne_env.cli.app import app
+from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, progress, say
 from ptne_env.evaluation import get_policy_spec
 
 
-@app.command()
+@app.command(cls=Command)
 def render(
     scenario: options.World,
     policy: options.Policy,

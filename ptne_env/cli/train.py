@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ptne_env.bench import find_scenario
 from ptne_env.cli import options
-from ptne_env.cli.app import app
+from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
 from ptne_env.learn import training
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from ptne_env.learn.training.ppo import Summary
 
 
-@app.command()
+@app.command(cls=Command)
 def train(
     configuration: Annotated[
         str,
@@ -53,14 +54,15 @@ def train(
 ) -> None:
     """Train a policy with PPO, and export it as policy.onnx.
 
-    Draws the learning curve, learning-curve.png, and prints the command that compares the policy.
+    Draws the learning curve, learning-curve.png, beside the digits of the paper's law and of the best law, and prints
+    the command that compares the policy.
 
     An interrupted run goes on from its last checkpoint when the same command is given again. It ends with another
     policy than an uninterrupted one.
     """
     try:
         from ptne_env.learn.training.configuration import Configuration
-        from ptne_env.learn.training.curve import draw
+        from ptne_env.learn.training.curve import draw, yardsticks
         from ptne_env.learn.training.ppo import is_finished
     except ImportError as error:
         raise ImportError('training needs an extra: pip install "ptne-env[sb3]"') from error
@@ -86,7 +88,8 @@ def train(
         mean = sum(reached) / len(reached)
         say(f"Mean of {seeds} seeds: {mean:.2f} digits, from {min(reached):.2f} to {max(reached):.2f}")
     names = {f"seed {each.seed}, {summaries[folder].digits:.2f} digits": folder for folder, each in runs.items()}
-    draw(names, picture, title=f"Training of {configuration.removesuffix('.toml')}")
+    title = f"Training of {configuration.removesuffix('.toml')}"
+    draw(names, picture, title=title, steps=chosen.steps, lines=yardsticks(find_scenario(chosen.scenario)))
     say(f"Learning curve written to {picture}")
     trained = f"trained={out}/seed-*/policy.onnx" if seeds is not None else str(out / "policy.onnx")
     say(f"To compare:  ptne compare {chosen.scenario} --policy {shlex.quote(f'static,{trained}')}")

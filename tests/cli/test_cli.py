@@ -22,7 +22,7 @@ from ptne_env.cli.app import ExitCode, main
 from ptne_env.shared.files import DamagedFileError
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ("compare", "check", "render", "certify", "reproduce", "train", "list")
+COMMANDS = ("compare", "verify", "render", "certify", "train", "list")
 PTNE = (sys.executable, "-W", "error", "-m", "ptne_env.cli")
 
 
@@ -62,6 +62,7 @@ def test_every_command_has_help(command, run):
     outcome = run(f"{command} --help")
     assert outcome.code == 0
     assert "Usage" in outcome.out
+    assert "<bool>" not in outcome.out  # flags take no value
 
 
 @pytest.mark.parametrize(
@@ -81,7 +82,7 @@ def test_every_command_has_help(command, run):
         ("render energy static --out run.avi", "a video is written to .gif, .html"),
         ("certify energie", "unknown scenario 'energie'"),
         ("certify energy --law statik", "unknown policy 'statik'; did you mean 'static'"),
-        ("reproduce --points 3", "No such option"),
+        ("certify --points 3", "No such option"),
         ("list everything", "'everything' is not one of"),
         ("no-such-command", "No such command"),
     ],
@@ -101,7 +102,7 @@ def test_wrong_usage_exits_with_2_and_a_message(words, message, run, tmp_path):
         "compare energy --policy missing.file.zip --trust",
         "compare energy --policy mine=missing.file.onnx",
         "render energy missing.file.onnx --out out.gif",
-        "check missing.file",
+        "verify missing.file",
         "train missing.file.toml --out out",
     ],
 )
@@ -114,7 +115,7 @@ def test_a_missing_file_is_called_a_missing_file(words, run, tmp_path):
     assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("words", ["compare energy --policy no.onnx", "check no.onnx", "train no.toml --out out"])
+@pytest.mark.parametrize("words", ["compare energy --policy no.onnx", "verify no.onnx", "train no.toml --out out"])
 def test_a_file_that_is_something_else_is_named(words, run, tmp_path):
     if words.startswith("train"):
         need_sb3()
@@ -133,7 +134,6 @@ def test_a_file_that_is_something_else_is_named(words, run, tmp_path):
         "compare energy --policy zero-input --episodes 1 --json blocked/x",
         "render energy static --out blocked/x.gif",
         "certify energy --json blocked/x",
-        "reproduce --out blocked",
         "train random-energy --out blocked/x",
         "list --json blocked/x",
     ],
@@ -316,9 +316,9 @@ def test_render_writes_a_page(run, tmp_path):
     assert "energy: static" in (tmp_path / "videos" / "run.html").read_text(encoding="utf-8")
 
 
-def test_check_exits_with_1_when_a_published_number_is_changed(run, tmp_path):
+def test_verify_exits_with_1_when_a_published_number_is_changed(run, tmp_path):
     assert run("compare energy --policy static,grounded --episodes 3 --jobs 1 --no-report --out out").code == 0
-    outcome = run("check out")
+    outcome = run("verify out")
     assert outcome.code == 0, outcome.err
     assert "reproduces" in outcome.out
     assert "of 2 jobs were run again" in outcome.out
@@ -329,7 +329,7 @@ def test_check_exits_with_1_when_a_published_number_is_changed(run, tmp_path):
     from ptne_env.evaluation.provenance import content_hash
 
     file.write_text(json.dumps({**data, "checksum": content_hash(content)}), encoding="utf-8")
-    outcome = run("check out --json found.json")
+    outcome = run("verify out --json found.json")
     assert outcome.code == ExitCode.FAILED
     assert "differs" in outcome.out
     assert json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))["differences"]
@@ -402,7 +402,9 @@ def test_interrupted_work_showed_the_time_left_and_leaves_complete_files(words, 
 def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
     assert "\x1b[32mholds" in in_terminal(["certify", "energy"], tmp_path)[1]
     assert "\x1b" not in in_terminal(["certify", "energy"], tmp_path, NO_COLOR="1")[1]
-    assert "\x1b" not in ptne("certify", "energy").stdout
+    piped = ptne("certify", "energy", COLUMNS="80").stdout
+    assert "\x1b" not in piped
+    assert max(map(len, piped.splitlines())) <= 80
 
 
 @pytest.mark.parametrize(

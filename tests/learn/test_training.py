@@ -20,7 +20,7 @@ from ptne_env import PolicySpec, learn
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.learn.training import configurations, defaults, ppo
 from ptne_env.learn.training.configuration import Configuration
-from ptne_env.learn.training.curve import draw, learning_curve
+from ptne_env.learn.training.curve import draw, learning_curve, yardsticks
 from ptne_env.learn.training.export import to_onnx
 
 SCENARIO = ptne_env.get_scenario("random-energy", steps=40)
@@ -211,7 +211,11 @@ def test_the_picture_shows_every_run(run, tmp_path):
     steps, digits = learning_curve(out)
     assert list(steps) == [70 * done for done in range(1, 11)]
     assert np.isfinite(digits).all()
-    draw({"one": out, "two": out}, tmp_path / "curve.png", title="Training")
+    lines = yardsticks(SCENARIO, 2)
+    assert list(lines)[0] == "static"
+    assert len(lines) == 2
+    assert max(lines.values()) > lines["static"]
+    draw({"one": out, "two": out}, tmp_path / "curve.png", title="Training", steps=700, lines=lines)
     picture = image.imread(tmp_path / "curve.png")
     assert picture.shape[:2] == (600, 960)
     colours = set(map(tuple, (255 * picture[..., :3]).astype(int).reshape(-1, 3)))

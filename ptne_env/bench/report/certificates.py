@@ -1,16 +1,16 @@
-"""Tables of a certificate and of a check."""
+"""Tables of a certificate and of a verification."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from ptne_env.bench.check import Check, Repetition
 from ptne_env.bench.report.tables import Cell, Column, Table, text_table
+from ptne_env.bench.verification import Repetition, Verification
 from ptne_env.evaluation.metrics import number
 from ptne_env.theory import Certificate
 
 _SHOWN_DIFFERENCES = 10
-"""Differences of a check that are listed."""
+"""Differences of a verification that are listed."""
 
 
 def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:
@@ -47,14 +47,14 @@ def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:
     return assumptions, Table(predictions.caption, predictions.subject, predictions.rows, predictions.columns, notes)
 
 
-def check_tables(check: Check) -> tuple[Table, Table]:
+def verification_tables(verified: Verification) -> tuple[Table, Table]:
     """Whether the tables of results follow from their samples, and the jobs that were run again.
 
     Args:
-        check: of :func:`~ptne_env.bench.check.check`.
+        verified: of :func:`~ptne_env.bench.verification.verify`.
     """
-    shown = [("differs", text) for text in check.differences[:_SHOWN_DIFFERENCES]]
-    if (hidden := len(check.differences) - _SHOWN_DIFFERENCES) > 0:
+    shown = [("differs", text) for text in verified.differences[:_SHOWN_DIFFERENCES]]
+    if (hidden := len(verified.differences) - _SHOWN_DIFFERENCES) > 0:
         shown.append(("differs", f"{hidden} more numbers or texts"))
     rebuilt = text_table(
         "Tables that were rebuilt from the samples",
@@ -65,19 +65,19 @@ def check_tables(check: Check) -> tuple[Table, Table]:
     rows = {
         f"{repetition.job.track.name}: {repetition.job.policy.name}"
         + f", training seed {repetition.job.training_seed}" * (repetition.job.training_seed > 0): repetition
-        for repetition in check.repetitions
+        for repetition in verified.repetitions
     }
     columns: dict[str, Callable[[Repetition], Cell]] = {
         "largest difference": lambda repetition: Cell.of(repetition.difference),
-        "verdict": lambda repetition: Cell.words(_verdict(repetition, same_arithmetic=check.same_arithmetic)),
+        "verdict": lambda repetition: Cell.words(_verdict(repetition, same_arithmetic=verified.same_arithmetic)),
     }
     notes = [f"{name}: {row.reason}" for name, row in rows.items() if row.reason is not None]
-    if not check.same_arithmetic:
+    if not verified.same_arithmetic:
         notes.append(
             "Processor, BLAS or libraries are others: rounding differs, and jobs agree where intervals overlap."
         )
     jobs = Table(
-        f"{len(check.repetitions)} of {check.jobs} jobs were run again",
+        f"{len(verified.repetitions)} of {verified.jobs} jobs were run again",
         "job",
         tuple(rows),
         tuple(Column(label, {name: cell(row) for name, row in rows.items()}) for label, cell in columns.items()),

@@ -9,6 +9,7 @@ import numpy as np
 
 from ptne_env.bench.leaderboard import Row, leaderboard
 from ptne_env.bench.suite import LAW
+from ptne_env.evaluation.entries import POLICIES
 from ptne_env.evaluation.metrics import METRICS, number
 from ptne_env.evaluation.results import Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
@@ -20,6 +21,8 @@ FIRST_MARGIN = 0.1
 ORACLE_NOTE = "* an oracle: it uses information that players lack, and has no rank"
 """The meaning of the mark beside a name."""
 
+DIGITS_NOTE = "digits: at 2 the error of all estimates is 1 %, at 3 it is 0.1 %; 12 at most"
+"""The meaning of the numbers of the answer."""
 
 MEAN_REGRET = "mean regret"
 """Name of the row and column of the metric."""
@@ -149,9 +152,9 @@ def answer_table(results: Results) -> Table:
         columns.append(Column(_marked(results, name), cells, f"digits of {name}"))
     counts = sorted({results.episodes[track] for track in tracks})
     episodes = " to ".join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))
-    notes = [REGRET_NOTE]
+    notes = [DIGITS_NOTE, REGRET_NOTE]
     if unscored := [track.name for track in results.tracks if not track.scored]:
-        notes.append(f"not in the score: {', '.join(unscored)}")
+        notes.append(f"score: the mean of all tracks but {', '.join(unscored)}")
     if any(spec.is_oracle for spec in results.policies.values()):
         notes.append(ORACLE_NOTE)
     return Table(
@@ -230,16 +233,33 @@ def first_places(results: Results) -> dict[str, list[str]]:
 
 
 def ordered(results: Results) -> list[str]:
-    """The policies: the best law, the best other policy, the paper's law, oracles, then the rest by rank.
+    """The policies: :func:`leaders`, oracles, then the rest, each part by rank.
 
     So the numbers that say most find room in a narrow terminal. Policies that act nowhere are left out.
     """
-    names = _best_first(results)
+    names, leading = _best_first(results), leaders(results)
     oracles = [name for name in names if results.policies[name].is_oracle]
-    others = [name for name in names if name not in oracles]
-    laws = [name for name in others if not (results.policies[name].is_own or results.policies[name].files)]
-    head = [*laws[:1], *[name for name in others if name not in laws][:1], *[LAW] * (LAW in names), *oracles]
-    return list(dict.fromkeys([*head, *others]))
+    return list(dict.fromkeys([*[name for name in names if name in leading], *oracles, *names]))
+
+
+def leaders(results: Results) -> dict[str, str]:
+    """The policies that the answer is about, with what each is: ``{"static": "the paper's law", ...}``.
+
+    They are the best law, the best network in a file, the best policy that does not ship, and the paper's law. One
+    policy may be several of these.
+    """
+    specs, found = results.policies, dict[str, str]()
+    names = [name for name in _best_first(results) if not specs[name].is_oracle]
+    kinds = {
+        "the paper's law": [name for name in names if name == LAW],
+        "the best law": [name for name in names if name in POLICIES and not specs[name].files],
+        "the best learned policy": [name for name in names if specs[name].files],
+        "yours": [name for name in names if name not in POLICIES],
+    }
+    for kind, of_kind in kinds.items():
+        for name in of_kind[:1]:
+            found[name] = f"{found[name]}, {kind}" if name in found else kind
+    return found
 
 
 def _best_first(results: Results) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 
 from rich import box
@@ -16,8 +17,9 @@ from ptne_env.evaluation.results import Results
 _NAME_WIDTH = 24
 """Names of rows are broken at hyphens into lines of at most this length."""
 
-_HEADING_WIDTH = 10
-"""Headings are broken into lines of about this length, long ones into three lines."""
+_HEADING_WIDTH, _WORD_WIDTH = 11, 15
+"""Headings are broken into lines of at most the first length, a long word of the second: 80 columns have room for the
+names of the tracks of ptne-v1 and four policies."""
 
 _TEXT_WIDTH = 100
 """Sentences are broken into lines of at most this length."""
@@ -77,8 +79,9 @@ def _piece(table: Table, names: dict[str, str], columns: list[Column]) -> RichTa
 
 
 def _heading(column: Column) -> str:
-    width = max(_HEADING_WIDTH, len(column.label) // 3 + 2)
-    return textwrap.fill(column.label, width, break_long_words=False)
+    """The label in lines: broken after a blank or a sign within names, or where a word is too long."""
+    lines = re.findall(rf".{{1,{_HEADING_WIDTH}}}(?:(?<=[-_:./ ])|$)|\S{{1,{_WORD_WIDTH}}}\s?", column.label)
+    return "\n".join(line.strip() for line in lines)
 
 
 def answer_tables(results: Results, width: int) -> Group:

@@ -8,9 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ptne_env.bench.report.style import COLOURS, drawing
+from ptne_env.bench.report.style import COLOURS, INK, drawing
+from ptne_env.bench.suite import LAW
+from ptne_env.evaluation import COMPARED, POLICIES, evaluate
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import write_atomically
+from ptne_env.world.scenario import Scenario
 
 
 def learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
@@ -29,13 +32,31 @@ def learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
         raise ValueError(f"{path} is no learning curve: it is damaged or something else ({error})") from error
 
 
-def draw(runs: Mapping[str, Path], path: Path, *, title: str) -> None:
+def yardsticks(scenario: Scenario, episodes: int = 20) -> dict[str, float]:
+    """The digits that the paper's law gains, and those of the best law, on validation episodes.
+
+    Args:
+        scenario: of the training.
+        episodes: of each law.
+
+    Returns:
+        Digits by the law's name, at most two; no law that cannot act in the scenario.
+    """
+    laws = [name for name in COMPARED if not (POLICIES[name].files or POLICIES[name].is_oracle)]
+    results = evaluate(laws, [scenario], episodes=episodes, split="validation")
+    gained = {name: float(found["digits_gained"].mean()) for (_, name), found in results.samples.items()}
+    return {name: gained[name] for name in (LAW, max(gained, key=gained.__getitem__)) if name in gained}
+
+
+def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, lines: Mapping[str, float]) -> None:
     """Draw the learning curves of runs into a PNG file.
 
     Args:
         runs: folders by name.
         path: the file.
         title: of the picture.
+        steps: the agent-steps that were asked for, where the axis ends.
+        lines: digits of other policies by name.
 
     Raises:
         ImportError: when matplotlib is missing, naming the extra to install.
@@ -48,9 +69,12 @@ def draw(runs: Mapping[str, Path], path: Path, *, title: str) -> None:
         figure = Figure(figsize=(6.4, 4.0), layout="constrained")
         axes = figure.subplots()
         for index, (name, folder) in enumerate(runs.items()):
-            axes.plot(*learning_curve(folder), color=COLOURS[index % len(COLOURS)], marker="o", label=name)
-        axes.set(title=title, xlabel="agent-steps done", ylabel="digits of 20 games, without exploration")
+            colour = COLOURS[index % len(COLOURS)]
+            axes.plot(*learning_curve(folder), color=colour, marker="o", label=name, clip_on=False)
+        for (name, digits), style in zip(lines.items(), ("--", ":"), strict=False):
+            axes.axhline(digits, color=INK, linestyle=style, linewidth=1, label=f"{name}, {digits:.2f} digits")
+        axes.set(title=title, xlabel="agent-steps", ylabel="digits gained, without exploration", xlim=(0, steps))
         axes.xaxis.set_major_formatter("{x:,.0f}")
-        axes.legend()
+        figure.legend(loc="outside lower center", ncols=2)
         figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
     write_atomically(path, buffer.getvalue())

@@ -181,7 +181,7 @@ def test_the_page_of_the_paper_has_its_table_figures_and_verdicts(tmp_path):
     for path in figures:
         path.write_text("<svg/>", encoding="utf-8")
     made = Reproduction(rows, claims, tuple(figures), tmp_path / "results.json", 1.0)
-    outline = Outline(paper_page(made, "ptne reproduce --out paper"))
+    outline = Outline(paper_page(made, "python baselines/reproduce.py"))
     assert outline.wrong == []
     (answered,) = (text for attributes, text in outline.all("p") if attributes.get("class") == "answer")
     assert answered == "1 of 1 claims hold when measured. Failing: none."

@@ -10,19 +10,20 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from ptne_env import evaluate, get_scenario, laws, theory
-from ptne_env.bench.check import Check, Repetition
 from ptne_env.bench.leaderboard import leaderboard
-from ptne_env.bench.report.certificates import certificate_tables, check_tables
+from ptne_env.bench.report.certificates import certificate_tables, verification_tables
 from ptne_env.bench.report.tables import (
     Cell,
     answer,
     answer_table,
     first_places,
     leaderboard_table,
+    leaders,
     text_table,
     track_tables,
 )
 from ptne_env.bench.report.terminal import answer_tables, result_tables, show
+from ptne_env.bench.verification import Repetition, Verification
 from ptne_env.evaluation import METRICS, get_policy_spec
 from ptne_env.evaluation.jobs import Job
 from ptne_env.evaluation.metrics import number
@@ -62,13 +63,15 @@ def test_the_answer_fits_the_terminal_and_keeps_the_papers_law(comparison, suite
         heading = text[: text.index("─")]
         for name in results.policies:
             assert name in hidden or all(part in heading for part in re.findall(r"\w+", name))
+        assert not [name for name in leaders(results) if name in hidden.split(", ")]
 
 
-def test_the_answer_has_a_row_per_track_and_their_mean(comparison, suite):
+def test_the_answer_has_a_row_per_track_and_their_mean(comparison, suite, hostile):
     table = answer_table(comparison)
     assert table.rows == ("energy", "energy-switching", "mean of 2", "mean regret")
     columns = {column.label: column for column in table.columns}
-    assert list(columns)[:3] == ["grounded", "static", "oracle *"]
+    assert list(columns)[:2] == ["grounded", "static"]
+    assert list(columns)[2:] == [hostile, "oracle *", "zero-input"]
     for name in ("static", "grounded"):
         means = [comparison.record(track, name, "digits")["mean"] for track in table.rows[:2]]
         assert columns[name]["energy"].text == digits_of(comparison, "energy", name)
@@ -145,7 +148,7 @@ def test_the_leaderboard_has_the_scores_of_a_suite_alone(suite, comparison):
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_the_table_of_a_check_shows_every_verdict(suite, width):
+def test_the_table_of_a_verification_shows_every_verdict(suite, width):
     track, spec = suite.tracks[0], next(iter(suite.policies.values()))
     jobs = [Job(track, replace(spec, name=f"policy-{index}"), 0, suite.episode_sets[track.name]) for index in range(3)]
     repetitions = (
@@ -153,7 +156,8 @@ def test_the_table_of_a_check_shows_every_verdict(suite, width):
         Repetition(jobs[1], 0.1, agrees=False),
         Repetition(jobs[2], np.inf, agrees=False, reason="step 0: no number"),
     )
-    rebuilt, table = check_tables(Check(tuple(map(str, range(12))), repetitions, 7, same_arithmetic=False))
+    found = Verification(tuple(map(str, range(12))), repetitions, 7, same_arithmetic=False)
+    rebuilt, table = verification_tables(found)
     verdicts = [table.columns[-1][row].text for row in table.rows]
     assert len(set(verdicts)) == 3
     assert len(table.notes) == 2

@@ -1,4 +1,4 @@
-"""``ptne check``: rebuild the tables of results, and run a sample of the jobs again."""
+"""``ptne verify``: rebuild the tables of results, and run a sample of the jobs again."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Annotated
 
 import typer
 
-from ptne_env.bench.check import SAMPLE
-from ptne_env.bench.check import check as run_check
 from ptne_env.bench.files import read_results
-from ptne_env.bench.report.certificates import check_tables
+from ptne_env.bench.report.certificates import verification_tables
 from ptne_env.bench.report.terminal import show
+from ptne_env.bench.verification import SAMPLE
+from ptne_env.bench.verification import verify as run_verification
 from ptne_env.cli import options
-from ptne_env.cli.app import ExitCode, app
+from ptne_env.cli.app import Command, ExitCode, app
 from ptne_env.cli.console import check_writable, console, json_text, progress, say, write_json
 from ptne_env.shared.parts import foreign_targets
 
 
-@app.command()
-def check(
+@app.command(cls=Command)
+def verify(
     results: Annotated[Path, typer.Argument(help="The file results.json of a comparison or suite, or its folder.")],
     *,
     sample: Annotated[int, typer.Option(min=1, help="Jobs of every policy to run again; one of references.")] = SAMPLE,
@@ -36,8 +36,8 @@ def check(
     """
     check_writable(json)
     trust = options.trusted(foreign_targets(read_results(results)), trust=trust)
-    with progress("checking") as advance:
-        outcome = run_check(
+    with progress("verifying") as advance:
+        outcome = run_verification(
             results, sample=sample, trust=trust, progress=lambda job, total: advance(total=total, description=job)
         )
     rows = [
@@ -54,7 +54,7 @@ def check(
     found = {"differences": outcome.differences, "jobs": rows, "of": outcome.jobs}
     write_json(json, json_text({**found, "same_arithmetic": outcome.same_arithmetic}))
     screen = console()
-    for table in check_tables(outcome):
+    for table in verification_tables(outcome):
         screen.print(show(table, screen.width))
     say(f"{len(rows)} of {outcome.jobs} jobs were run again")
     if not outcome.passes:

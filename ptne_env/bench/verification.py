@@ -1,4 +1,4 @@
-"""Checks of published results: their tables are rebuilt, and a sample of their jobs runs again."""
+"""Verification of published results: their tables are rebuilt, and a sample of their jobs runs again."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class Repetition:
 
 
 @dataclass(frozen=True)
-class Check:
-    """The outcome of a check.
+class Verification:
+    """The outcome of a verification.
 
     Attributes:
         differences: what is wrong with the tables and samples, one text each.
@@ -71,14 +71,14 @@ class Check:
         return not self.differences and all(repetition.agrees for repetition in self.repetitions)
 
 
-def check(
+def verify(
     path: Path,
     *,
     sample: int = SAMPLE,
     seed: int | None = None,
     trust: bool = False,
     progress: Callable[[str, int], None] | None = None,
-) -> Check:
+) -> Verification:
     """Rebuild the tables of published results from their samples, and run some of their jobs again.
 
     The decisions of each of these jobs are audited thoroughly.
@@ -100,8 +100,8 @@ def check(
     data = read_results(path)
     if not trust and (foreign := foreign_targets(data)):
         raise ValueError(
-            f"{path} names code outside this library, which a check executes: {', '.join(foreign)}. Say that you "
-            "trust it (--trust)"
+            f"{path} names code outside this library, which a verification executes: {', '.join(foreign)}. Say that "
+            "you trust it (--trust)"
         )
     folder = path if path.is_dir() else path.parent
     data = {**data, "policies": [_with_files(policy, folder) for policy in data["policies"]]}
@@ -116,7 +116,7 @@ def check(
         repetitions.append(_repeat(results, job, same_arithmetic=same))
         if progress is not None:
             progress(f"{job.track.name}: {job.policy.name}", len(chosen))
-    return Check(tuple(differences), tuple(repetitions), jobs, same)
+    return Verification(tuple(differences), tuple(repetitions), jobs, same)
 
 
 def _with_files(policy: Mapping[str, Any], folder: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The check of published results: tables follow from samples, and jobs run again give the same numbers."""
+"""The verification of published results: tables follow from samples, and jobs run again give the same numbers."""
 
 import json
 import re
@@ -8,9 +8,8 @@ import pytest
 from small_suite import SMALL, write_results
 
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
-from ptne_env.bench import check as checks
-from ptne_env.bench import run_suite
-from ptne_env.bench.check import check
+from ptne_env.bench import run_suite, verification
+from ptne_env.bench.verification import verify
 from ptne_env.evaluation.provenance import content_hash
 from ptne_env.learn import shipped_path
 
@@ -33,7 +32,7 @@ def samples_of(data, policy="grounded", track="ring"):
 
 
 def test_honest_results_pass_with_two_jobs_of_every_entry_and_one_of_references(written):
-    outcome = check(written())
+    outcome = verify(written())
     assert outcome.passes
     assert outcome.same_arithmetic
     assert outcome.differences == ()
@@ -42,7 +41,7 @@ def test_honest_results_pass_with_two_jobs_of_every_entry_and_one_of_references(
     names = [repetition.job.policy.name for repetition in outcome.repetitions]
     expected = {"grounded": 2, "ppo-random-energy": 2, "mine": 2, "zero-input": 1, "static": 1, "oracle": 1}
     assert {name: names.count(name) for name in names} == expected
-    choices = {tuple(one.job.track.name for one in check(written(), sample=1).repetitions) for _ in range(4)}
+    choices = {tuple(one.job.track.name for one in verify(written(), sample=1).repetitions) for _ in range(4)}
     assert len(choices) > 1
 
 
@@ -57,7 +56,7 @@ def swap(data):
 
 
 def test_numbers_of_another_policy_are_found_by_running_jobs_again(written):
-    outcome = check(written(swap))
+    outcome = verify(written(swap))
     assert outcome.differences == ()
     assert not outcome.passes
     assert {one.job.policy.name for one in outcome.repetitions if not one.agrees} == {"grounded"}
@@ -83,7 +82,7 @@ def test_numbers_of_another_policy_are_found_by_running_jobs_again(written):
     ],
 )
 def test_tables_samples_and_rules_that_do_not_hold_are_reported(written, change, difference):
-    outcome = check(written(change), sample=1)
+    outcome = verify(written(change), sample=1)
     assert not outcome.passes
     assert any(re.search(difference, text) for text in outcome.differences)
 
@@ -98,7 +97,7 @@ def test_a_failure_or_a_refusal_that_does_not_repeat_is_reported(written, kind, 
             data[kind].append({"track": track, "policy": "grounded", "reason": reason})
         data["records"] = [one for one in data["records"] if one["policy"] != "grounded"]
 
-    outcome = check(written(change))
+    outcome = verify(written(change))
     assert outcome.differences == ()
     assert {one.job.policy.name for one in outcome.repetitions if not one.agrees} == {"grounded"}
 
@@ -111,7 +110,7 @@ def test_a_published_suite_has_its_own_tracks_episodes_and_references(tmp_path, 
         content = {key: value for key, value in (results.to_dict() | changes).items() if key != "checksum"}
         signed = {key: value for key, value in content.items() if key != "timings"}
         path.write_text(json.dumps(content | {"checksum": content_hash(signed)}), encoding="utf-8")
-        return check(path, sample=1).differences
+        return verify(path, sample=1).differences
 
     assert differences() == ()
     (track,) = results.to_dict()["tracks"]
@@ -128,8 +127,8 @@ def test_on_another_arithmetic_jobs_are_judged_by_statistics(written, monkeypatc
             for samples in policies.values():
                 samples["digits"] = [[value - 1e-4 for value in values] for values in samples["digits"]]
 
-    monkeypatch.setattr(checks, "_differences_of_tables", lambda *_: ())
-    outcome = check(written(rounded_elsewhere))
+    monkeypatch.setattr(verification, "_differences_of_tables", lambda *_: ())
+    outcome = verify(written(rounded_elsewhere))
     assert not outcome.same_arithmetic
     assert outcome.passes
     assert max(one.difference for one in outcome.repetitions) > 1e-6
@@ -138,7 +137,7 @@ def test_on_another_arithmetic_jobs_are_judged_by_statistics(written, monkeypatc
         rounded_elsewhere(data)
         swap(data)
 
-    outcome = check(written(forged))
+    outcome = verify(written(forged))
     assert {one.job.policy.name for one in outcome.repetitions if not one.agrees} == {"grounded"}
 
 
@@ -151,14 +150,14 @@ def test_policy_files_lie_beside_the_results(tmp_path):
     there.mkdir()
     (there / "results.json").write_text(results.to_json(), encoding="utf-8")
     file.rename(there / "renamed.onnx")
-    assert check(there).passes
+    assert verify(there).passes
     (there / "renamed.onnx").unlink()
     with pytest.raises(FileNotFoundError, match=r"mine\.onnx"):
-        check(there)
+        verify(there)
 
 
 def test_results_of_objects_are_refused(tmp_path):
     path = tmp_path / "objects.json"
     path.write_text(evaluate(PolicySpec("mine", laws.Static), SMALL.tracks[0], episodes=1).to_json())
     with pytest.raises(ValueError, match="policy 'mine' was an object"):
-        check(path)
+        verify(path)
