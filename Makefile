@@ -8,7 +8,7 @@ BIN    := $(VENV)/bin
 OUT    ?= results
 PIP     = $(BIN)/pip install --no-compile --disable-pip-version-check --constraint constraints.txt
 PYTEST  = $(BIN)/pytest --numprocesses auto --dist worksteal
-CORE    = tests/shared tests/games tests/world tests/perception tests/laws tests/envs tests/evaluation tests/test_import.py
+CORE    = tests/shared tests/games tests/world tests/perception tests/laws tests/envs tests/evaluation tests/test_import.py tests/test_misuse.py
 
 .PHONY: compare test lint types unit core publish reproduce docs soak smoke ray lowest newest clean
 

@@ -16,6 +16,7 @@ from pickle import PicklingError
 from typing import Any, TypeVar
 
 from ptne_env.bench.processes import end_with_parent
+from ptne_env.shared.arrays import require_count
 
 Result = TypeVar("Result")
 
@@ -45,7 +46,7 @@ class Workers:
     ray: str | None = None
 
     def __post_init__(self) -> None:
-        if self.jobs == 0:
+        if require_count("jobs", self.jobs, -1) == 0:
             raise ValueError("0 jobs would do nothing; ask for at least one, or for -1, one per core")
 
     def run(self, function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Result]]:

@@ -53,7 +53,9 @@ def certify(
 
 def _law(name: str) -> FactorySpec:
     """The spec of a law."""
-    spec = get_policy_spec(name).policy
-    if not isinstance(spec, FactorySpec):
-        raise ValueError(f"{name!r} is no law: choose from {', '.join(POLICIES)}, or a 'module:object'")
+    chosen = get_policy_spec(name)
+    spec = chosen.policy
+    if not isinstance(spec, FactorySpec) or chosen.files:
+        laws = ", ".join(each for each in POLICIES if not POLICIES[each].files)
+        raise ValueError(f"{name!r} is no law: choose from {laws}, or a 'module:object'")
     return spec

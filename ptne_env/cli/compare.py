@@ -103,6 +103,8 @@ def compare(
     """
     suite, places = _tracks_of(suite, scenario or [])
     names = [name for given in policy or () for name in given.split(",") if name]
+    if policy and not names:
+        raise ValueError("--policy names no policy: leave it out for the usual ones; 'ptne list policies' shows all")
     trust = options.trusted(options.foreign_names(suite, *places, *names), trust=trust)
     title = "comparison" if suite is None else get_suite(suite).name
     folder = out or (None if json == STDOUT else Path("results") / title)
@@ -115,6 +117,10 @@ def compare(
     with progress(f"{title}: making the jobs") as advance:
         runner = Runner(folder, workers, lambda job, done, total: advance(round(share * done / total), 100, job), rerun)
         results = _results(suite, places, named, episodes, seed, runner)
+        failed = [f"Failed: {name} on {place}: {reason}" for (place, name), reason in results.failures.items()]
+        if not results.samples:
+            say("\n".join(failed))
+            raise typer.Exit(ExitCode.FAILED)
         text = results.to_json()
         write_json(json, text)
         if folder is not None:
@@ -132,13 +138,13 @@ def compare(
     if details:
         screen.print(result_tables(results, screen.width))
     screen.print(answer_tables(results, screen.width))
-    for (place, name), reason in results.failures.items():
-        say(f"Failed: {name} on {place}: {reason}")
+    for line in failed:
+        say(line)
     if files:
         say(f"Results written to {files[0]} and {files[1]}")
     if page is not None:
         say(f"Report written to {page}: open it in a browser")
-    if results.failures:
+    if failed:
         raise typer.Exit(ExitCode.FAILED)
 
 

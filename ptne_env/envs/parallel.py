@@ -16,6 +16,7 @@ from ptne_env.envs.simulation import (
     changed_scenario,
     initial_estimates,
     player_encoder,
+    require_cycles,
     require_options,
 )
 from ptne_env.perception.encoder import NonFiniteActionError
@@ -130,7 +131,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     @max_cycles.setter
     def max_cycles(self, value: int | None) -> None:
-        self._simulation.max_cycles = value
+        self._simulation.max_cycles = require_cycles(value)
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The agent's own Box, the same object on every call."""

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ptne_env.perception.encoder import Encoder, make_encoder
 from ptne_env.perception.observation import Interface, InterfaceKind, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count
-from ptne_env.shared.names import suggestion, unknown_name
+from ptne_env.shared.names import suggestion
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import distances, dynamics
 from ptne_env.world.catalogue import get_scenario
@@ -76,8 +76,8 @@ def changed_scenario(scenario: str | Scenario, changes: Mapping[str, Any], made:
     known = [*own, "players", *(field.name for field in fields(Scenario))]
     for keyword in changes:
         if keyword not in known:  # TorchRL reads the first half of the message
-            advice = "episodes are seeded by reset(seed=...)" if keyword == "seed" else suggestion(keyword, known)
-            raise TypeError(f"the environment got an unexpected keyword argument {keyword!r}; {advice}")
+            problem = f"the environment got an unexpected keyword argument {keyword!r}"
+            raise TypeError(f"{problem}; {suggestion(keyword, known)}")
     return get_scenario(scenario, **changes)
 
 
@@ -97,27 +97,24 @@ def player_encoder(world: World, interface: InterfaceKind | Interface) -> Encode
     return make_encoder(world, interface)
 
 
+def require_cycles(value: int | None) -> int | None:
+    """Return ``max_cycles``, or raise ``ValueError`` when it is neither ``None`` nor a count."""
+    return None if value is None else require_count("max_cycles", value, 1)
+
+
 def require_options(options: Any, *known: str) -> Mapping[str, Any]:
-    """The options of a reset; none where they are ``None``.
-
-    The key ``options`` is ignored, because PettingZoo's conformance tests pass it.
-
-    Args:
-        options: of the caller.
-        *known: the other keys.
+    """The options of a reset: a dictionary with ``known`` keys, and perhaps ``options``, which is ignored.
 
     Raises:
-        TypeError: when they are no dictionary.
+        TypeError: when they are something else.
         ValueError: for an unknown key.
     """
-    if options is None:
-        return {}
-    if not isinstance(options, Mapping):
+    if not isinstance(options, Mapping | None):
         raise TypeError(f"reset options are a dictionary, such as {{'estimates': table}}, got {options!r}")
-    for key in options:
-        if key not in (*known, "options"):
-            raise ValueError(unknown_name("reset option", key, known))
-    return options
+    for key in options or ():
+        if key not in (*known, "options"):  # which PettingZoo's conformance tests pass
+            raise ValueError(f"unknown reset option {key!r}; choose from {', '.join(known)}")
+    return options or {}
 
 
 def initial_estimates(layout: ObservationLayout, num_envs: int, given: npt.ArrayLike) -> FloatArray:
@@ -173,7 +170,7 @@ class Simulation:
     ) -> None:
         self.encoder, self.world = encoder, encoder.world
         self.num_envs = require_count("num_envs", num_envs, 1)
-        self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
+        self.max_cycles = require_cycles(max_cycles)
         self._reward = Reward(self.world, reward)
         self.reward_names = [f"reward_{name}" for name in self._reward.weights]
         self._never = np.zeros(self.num_envs, dtype=np.bool_)

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 from ptne_env.evaluation.provenance import file_hash
 from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError, describe
-from ptne_env.shared.arrays import require_printable
+from ptne_env.shared.arrays import require_flag, require_printable
 from ptne_env.shared.files import require_file
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import LOADER, FactorySpec, foreign_targets
@@ -60,7 +60,7 @@ class PolicySpec:
                     f"policy {self.name!r} is {source!r}: give a FactorySpec, a class or function that is called with "
                     "the layout, or an object with predict; get_policy_spec('static') is the policy of a name"
                 )
-        if isinstance(self.interface, str):
+        if self.interface is not None and not isinstance(self.interface, Interface):  # type: ignore[redundant-expr]
             object.__setattr__(self, "interface", Interface(self.interface))  # type: ignore[arg-type]  # it checks itself
         declared = {_declared_interface(source) for source in self.training_seeds}
         if len(declared) > 1:
@@ -346,7 +346,7 @@ def _file(path: str, *, trust: bool) -> FactorySpec:
         return FactorySpec.of(LOADER, path_or_name=path)
     if not path.endswith(".zip"):
         raise ValueError(f"{path!r} is no policy: policy files end in .onnx or .zip")
-    if not trust:
+    if not require_flag("trust", trust):
         raise ValueError(
             f"loading {path!r} executes code that is stored in it; if you trust it: "
             f"ptne_env.evaluation.get_policy_spec({path!r}, trust=True)"

@@ -172,7 +172,7 @@ class Results:
         A text that a spreadsheet would read as a formula is preceded by ``'``.
         """
         buffer = io.StringIO()
-        writer = csv.DictWriter(buffer, list(self._rows()[0]), lineterminator="\n")
+        writer = csv.DictWriter(buffer, list(next(iter(self._rows()), ())), lineterminator="\n")
         writer.writeheader()
         writer.writerows({key: _cell(value) for key, value in row.items()} for row in self._rows())
         return buffer.getvalue()

@@ -36,7 +36,7 @@ def evaluate(
 
     Args:
         policies: names, specs, or objects with ``predict``, as :func:`~ptne_env.evaluation.entries.get_policy_spec`
-            takes them; one or several.
+            takes them; one or several, or a dictionary of policies by name.
         scenarios: scenarios, names of the catalogue, ``"module:object"`` or tracks; one of them, or several.
         episodes: number of random starts; a track in which nothing is random has one episode.
         seed: of the episode sets.
@@ -65,6 +65,9 @@ def several(given: Any) -> Iterable[Any]:
     """
     if isinstance(given, str | PolicySpec | Scenario | Track) or hasattr(given, "predict"):
         return [given]
+    if isinstance(given, Mapping):
+        known = PolicySpec | Scenario | Track
+        return [each if isinstance(each, known) else PolicySpec(name, each) for name, each in given.items()]
     if isinstance(given, type) or not isinstance(given, Iterable):
         kind = f"the class {given.__name__}" if isinstance(given, type) else f"a {type(given).__name__}"
         raise TypeError(

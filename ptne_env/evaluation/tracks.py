@@ -10,7 +10,7 @@ from typing import Any
 from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.rollout import Member
 from ptne_env.perception.encoder import make_encoder
-from ptne_env.shared.arrays import require_count, require_printable
+from ptne_env.shared.arrays import require_count, require_flag, require_printable
 from ptne_env.shared.parts import FactorySpec, resolve
 from ptne_env.world.catalogue import get_scenario
 from ptne_env.world.scenario import Scenario
@@ -75,6 +75,7 @@ class Track:
     def __post_init__(self) -> None:
         require_printable("the name of a track", self.name)
         object.__setattr__(self, "scenario", get_scenario(self.scenario))
+        require_flag(f"scored of track {self.name!r}", self.scored)
         if self.episodes is not None:
             require_count(f"episodes of track {self.name!r}", self.episodes, 1)
         if self.teammates is not None:

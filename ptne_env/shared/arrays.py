@@ -103,6 +103,13 @@ def require_count(name: str, value: int, minimum: int) -> int:
     return int(value)
 
 
+def require_flag(name: str, value: bool) -> bool:  # noqa: FBT001 - what it checks
+    """Return ``value``, or raise ``ValueError`` when it is neither True nor False, as the text "no" is not."""
+    if not isinstance(value, bool):  # type: ignore[redundant-expr]  # callers may pass any type
+        raise ValueError(f"{name} must be True or False, got {value!r}")
+    return value
+
+
 def require_printable(name: str, value: str) -> str:
     """Return ``value``, or raise ``ValueError`` when it is no text of printable characters, as escape sequences are."""
     if not (isinstance(value, str) and value.isprintable()):  # type: ignore[redundant-expr]  # callers may pass any type

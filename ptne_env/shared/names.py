@@ -33,6 +33,8 @@ def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
         known: all names of that kind.
         otherwise: another way to say it, such as "a .toml file".
     """
+    if name == "seed":
+        return "a seed is an argument of reset, evaluate and training, such as reset(seed=3)"
     choices = list(known)
     likeness = {choice: _likeness(_plain(name), _plain(choice)) for choice in choices}
     near = sorted((choice for choice in choices if likeness[choice] >= _LIKE), key=lambda choice: -likeness[choice])

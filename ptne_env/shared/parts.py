@@ -180,6 +180,8 @@ def _target(definition: Any) -> str:
     Raises:
         ValueError: when no module has it under its name.
     """
+    if not isinstance(definition, type | FunctionType):
+        raise TypeError(f"a part is named by a string, a class or a function, got {definition!r}")
     module, name = definition.__module__, definition.__qualname__
     if "." in name:
         raise ValueError(
@@ -344,7 +346,8 @@ class FactorySpec:
             if not arguments and not isinstance(error, TypeError):
                 raise  # without arguments the mistake is in the target
             given = sorted(arguments | extra)
-            raise ValueError(f"part {self.target!r} refuses its arguments {given}: {error}") from error
+            advice = f"; name it with arguments, FactorySpec.of({self.target!r}, ...)" * (not given)
+            raise ValueError(f"part {self.target!r} refuses its arguments {given}: {error}{advice}") from error
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object ``{"target": ..., "arguments": {...}}``."""

@@ -98,6 +98,8 @@ def get_scenario(scenario: str | Scenario, *, players: int | None = None, **over
     if isinstance(scenario, str):
         if scenario not in CATALOGUE:
             suite, separator, track = scenario.partition("/")
+            if track.removesuffix("-v0") in CATALOGUE:
+                raise ValueError(f"{scenario!r} is an id of registries; the scenario is {track.removesuffix('-v0')!r}")
             if separator:
                 raise ValueError(
                     f"{scenario!r} is no scenario; if it is the track of a suite, give "

@@ -25,7 +25,10 @@ class Graph(Part):
     """
 
     def __init__(self, adjacency: npt.ArrayLike) -> None:
-        matrix = frozen(adjacency)
+        try:
+            matrix = frozen(adjacency)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"an adjacency matrix is an (N, N) table of numbers: {error}") from error
         if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] < 2:
             raise ValueError(f"an adjacency matrix is square with at least 2 players, got the shape {matrix.shape}")
         if not np.all(np.isfinite(matrix)) or matrix.min() < 0:

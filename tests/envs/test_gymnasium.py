@@ -145,8 +145,6 @@ def test_invalid_vectors_and_masks_are_refused():
     env.reset(seed=0)
     with pytest.raises(ValueError, match="must name at least one environment to reset"):
         env.reset(options={"reset_mask": np.zeros(2, dtype=np.bool_)})
-    with pytest.raises(ValueError, match="'Sometimes' is not a valid AutoresetMode"):
-        JointVectorEnv("energy", 2, autoreset_mode="Sometimes")
     with pytest.raises(ValueError, match=r"do not render, got render_mode='rgb_array': .*vectorization_mode='sync'"):
         gymnasium.make_vec("ptne_env:ptne/energy-joint-v0", num_envs=2, render_mode="rgb_array")
 

@@ -82,56 +82,15 @@ def test_a_comparison_takes_tracks_and_runs_the_jobs_by_what_it_is_given():
     assert asked == [("ring", "static", 1), ("ring", "grounded", 1), ("all", "static", 2), ("all", "grounded", 2)]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            {"scenarios": ptne_env.parallel_env("energy")},
-            r"got a NashSeekingEnv; the scenario of an environment is env",
-        ),
-        (
-            {"scenarios": [ptne_env.parallel_env("energy")]},
-            r"such as env.scenario of an environment; got a NashSeeking",
-        ),
-        ({"policies": dict}, r"got the class dict; .* a policy is an object with predict, or PolicySpec\(name, "),
-        ({"run": 4}, r"run takes jobs, as ptne_env.bench.Runner\(folder, Workers\(4\)\) does; got 4"),
-    ],
-)
-def test_arguments_of_another_kind_are_refused(arguments, message):
-    with pytest.raises(TypeError, match=message):
-        evaluate(**{"policies": "static", "scenarios": "energy"} | arguments)
-
-
 def test_an_interface_may_be_given_by_its_kind_and_a_track_its_scenario_by_name():
     spec = PolicySpec("mine", laws.Static, "physical")
     assert spec == PolicySpec("mine", spec.policy, ptne_env.Interface("physical"))
     assert evaluate(spec, Track("mine", "energy", "The paper's."), episodes=1).samples
 
 
-@pytest.mark.parametrize(
-    ("policies", "scenarios", "message"),
-    [
-        (["statics"], ["energy"], "unknown policy 'statics'; did you mean 'static'"),
-        (["static"], ["energie"], "unknown scenario 'energie'; did you mean 'energy'"),
-        (["static", "static"], ["energy"], "different names, got static, static; a file gets another name"),
-        (["static"], ["energy", "energy"], "needs different scenarios; energy would"),
-        ([], ["energy"], "at least one policy"),
-        (["static"], [], "needs at least one scenario"),
-        (["no.such.module:thing"], ["energy"], "cannot import"),
-        (["ptne_env.laws:NoSuchLaw"], ["energy"], "has no 'NoSuchLaw'"),
-        (["static"], ["builtins:dict"], "is a dict, not a Scenario"),
-        ([PolicySpec("picky", Picky)], [COMPLETE], "policy 'picky' fits no track: it was made for another layout"),
-    ],
-)
-def test_wrong_arguments_of_a_comparison_are_refused(policies, scenarios, message):
-    with pytest.raises(ValueError, match=message):
-        evaluate(policies, scenarios, episodes=1)
-
-
-@pytest.mark.parametrize(("episodes", "seed"), [(0, 0), (1, -1), (1.5, 0)])
-def test_counts_out_of_range_are_refused(episodes, seed):
-    with pytest.raises(ValueError, match="whole number"):
-        evaluate(["static"], BASE, episodes=episodes, seed=seed)
+def test_a_policy_that_fits_no_track_is_refused():
+    with pytest.raises(ValueError, match="policy 'picky' fits no track: it was made for another layout"):
+        evaluate(PolicySpec("picky", Picky), COMPLETE, episodes=1)
 
 
 def test_a_policy_is_not_applicable_where_it_does_not_fit():

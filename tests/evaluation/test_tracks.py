@@ -74,11 +74,6 @@ def test_a_track_is_its_own_dict_and_back():
         assert Track.from_dict(track.to_dict()) == track
 
 
-def test_wrong_tracks_are_refused():
-    with pytest.raises(ValueError, match="printable"):
-        Track("\x1b[2K", BASE, "The base.")
-
-
 def test_a_scenario_is_found_by_address(monkeypatch):
     monkeypatch.setitem(sys.modules, "mine", mine := ModuleType("mine"))
     mine.scenario, mine.number = BASE, 5

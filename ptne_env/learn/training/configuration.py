@@ -94,7 +94,7 @@ def _values(name: str) -> dict[str, Any]:
         if name not in configurations():
             if ":" in name or name in world_names():
                 return {"scenario": name}
-            raise ValueError(unknown_name("configuration", name, configurations(), "a .toml file"))
+            raise ValueError(unknown_name("configuration", name, [*configurations(), *world_names()], "a .toml file"))
         path = CONFIGURATIONS / f"{name}.toml"
     require_file(path)
     try:
