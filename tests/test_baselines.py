@@ -15,6 +15,7 @@ from ptne_env.evaluation.jobs import Job
 from ptne_env.evaluation.tracks import compared_track
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "baselines"))
+import marl
 import publish
 import ranking
 import tune
@@ -76,3 +77,23 @@ def test_no_two_scored_tracks_rank_alike_and_the_best_law_is_a_digit_below_the_o
     for found in digits.values():
         assert found.pop("oracle") >= max(found.values()) + 1
     assert ranking.correlations(digits)[0][0] <= 0.95
+
+
+def test_a_stopped_training_of_the_fields_algorithms_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    pytest.importorskip("stable_baselines3", reason="needs the extra 'sb3'")
+    played = []
+
+    def measured(*_):
+        played.append(len(played))
+        if len(played) == 3:
+            raise KeyboardInterrupt
+        return [played[-1]]
+
+    for name, value in {"UNIT": 80, "ENVS": 2, "ROLLOUT": 8, "digits": measured}.items():
+        monkeypatch.setattr(marl, name, value)
+    job = marl.Job("ppo", 0, "short-deadline", 0, 240)
+    with pytest.raises(KeyboardInterrupt):
+        marl.run(job, tmp_path)
+    assert ["4.00 digits" in marl.run(job, tmp_path), "finished" in marl.run(job, tmp_path)] == [True, True]
+    points = marl.finished(tmp_path)[job]["points"]
+    assert [(point["step_count"], *point["digits"]) for point in points] == [(80, 0), (160, 1), (240, 3)]

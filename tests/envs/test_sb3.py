@@ -6,7 +6,7 @@ from extras import need_sb3
 
 torch = need_sb3()
 
-from stable_baselines3 import A2C, PPO, SAC
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
@@ -138,18 +138,3 @@ def test_algorithms_learn_without_a_warning_and_reproducibly(algorithm):
         assert np.isfinite(trained[-1]).all()
         assert not np.array_equal(before, trained[-1])
     assert np.array_equal(*trained)
-
-
-def test_only_truncated_episodes_are_bootstrapped():
-    def run(**arguments):
-        env = PlayerVecEnv("random-energy", 1, interface="scaled", **arguments)
-        model = A2C("MlpPolicy", env, n_steps=3, gamma=0.5, learning_rate=0.0, seed=0)
-        model.learn(15)
-        return model, model.rollout_buffer.rewards
-
-    (_, cut), (going_on, plain) = run(max_cycles=3), run()
-    last, _ = going_on.policy.obs_to_tensor(going_on._last_obs)
-    values = going_on.policy.predict_values(last).detach().numpy()[:, 0]
-    assert np.array_equal(cut[:2], plain[:2])
-    assert cut[2] == pytest.approx(plain[2] + 0.5 * values, abs=1e-6)
-    assert np.abs(values).min() > 1e-3

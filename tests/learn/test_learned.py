@@ -93,11 +93,6 @@ def test_a_large_file_is_refused_before_it_is_read(tmp_path):
         learn.load(path)
 
 
-def test_metadata_survive_the_round_trip():
-    original = metadata(interface=Interface("physical"), training={"torch": "x"})
-    assert Metadata.from_json(original.to_json()) == original
-
-
 @pytest.mark.parametrize(
     "changes",
     [

@@ -20,7 +20,7 @@ from ptne_env.bench import get_suite
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import POLICIES, get_policy_spec
 from ptne_env.learn.archive import load_archive
-from ptne_env.learn.learned import BLOCK, PolicyFileError, in_blocks
+from ptne_env.learn.learned import PolicyFileError
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import LayoutError
 from ptne_env.shared.random_streams import RandomStreams
@@ -154,12 +154,3 @@ def test_without_stable_baselines3_the_extra_to_install_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.save_util", None)
     with pytest.raises(ImportError, match=r'pip install "ptne-env\[sb3\]"'):
         load_archive("model.zip")
-
-
-@pytest.mark.parametrize("rows", [1, BLOCK - 1, BLOCK, BLOCK + 1])
-def test_blocks_keep_the_rows_and_append_zeros(rows):
-    array = np.random.default_rng(0).normal(size=(rows, 3))
-    padded = in_blocks(array)
-    assert len(padded) % BLOCK == 0
-    np.testing.assert_array_equal(padded[:rows], array)
-    assert not padded[rows:].any()

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from extras import need_torchrl
+from extras import need_sb3, need_torchrl
 
-need_torchrl()
+need_torchrl(), need_sb3()
 
 import torch
 from tensordict import TensorDict
@@ -13,6 +13,7 @@ from worlds import SHORT, random_actions
 
 import ptne_env
 from ptne_env import VectorParallelEnv
+from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.learn.torchrl import TorchRLEnv
 
 OBSERVATION, ACTION, REWARD = ("player", "observation"), ("player", "action"), ("player", "reward")
@@ -52,15 +53,18 @@ def test_keys_shapes_and_dtypes_are_those_of_the_wrapper_of_pettingzoo():
 
 
 @pytest.mark.parametrize("max_cycles", [None, 4])
-def test_episodes_and_partial_resets_equal_those_of_arrays_bit_for_bit(max_cycles):
+def test_episodes_and_partial_resets_equal_those_of_arrays_and_of_single_players_bit_for_bit(max_cycles):
+    players = PlayerVecEnv("random-energy", 3, **SHORT, max_cycles=max_cycles, seed=5)
     env, vector = make(max_cycles=max_cycles), VectorParallelEnv("random-energy", 3, **SHORT, max_cycles=max_cycles)
     generator, ends = np.random.default_rng(0), 0
     following = env.reset(seed=5)
     assert np.array_equal(following[OBSERVATION].numpy(), vector.reset(seed=5)[0])
+    assert np.array_equal(following[OBSERVATION].numpy().reshape(15, -1), players.reset())
     for step in range(15):
         if step == 2:
             following = env.reset(following.update(named([False, True, False])))
             assert np.array_equal(following[OBSERVATION].numpy(), vector.reset(mask=[False, True, False])[0])
+            players.vector.reset(mask=[False, True, False])
         present, actions = acting(env, following, generator)
         present, following = env.step_and_maybe_reset(present)
         outcome, moved = vector.step(actions), present["next"]
@@ -75,6 +79,11 @@ def test_episodes_and_partial_resets_equal_those_of_arrays_bit_for_bit(max_cycle
             ends += 1
             expected, _ = vector.reset(mask=over)
         assert np.array_equal(following[OBSERVATION].numpy(), expected)
+        seen, rewards, dones, infos = players.step(actions.reshape(15, -1))
+        cut = [info.get("TimeLimit.truncated", False) for info in infos]
+        found = {"reward": rewards, "done": dones, "truncated": np.array(cut)}
+        assert all(np.array_equal(moved["player", name].numpy().ravel(), each) for name, each in found.items())
+        assert np.array_equal(seen, expected.reshape(15, -1))
         assert not following["done"].any()
     assert ends > 2
 

@@ -1,0 +1,498 @@
+"""Train the field's algorithms on tracks of ptne-v1: ``python baselines/marl.py [--tracks ...] [--seeds 3] ...``.
+
+They come from BenchMARL, Stable-Baselines3 and sb3-contrib; algorithms whose library is missing are left out. BenchMARL
+pins an older TorchRL, so all of them go into a virtual environment of their own::
+
+    python -m venv .venv-marl
+    .venv-marl/bin/pip install torch==2.13.0 -e '.[sb3]' sb3-contrib==2.9.2 benchmarl==1.5.2
+    OMP_NUM_THREADS=1 .venv-marl/bin/python baselines/marl.py --jobs 2
+
+A job is an algorithm with a setting on a track with a seed. The folder ``--out`` keeps a file of every finished job and
+checkpoints of the others, so the command can be stopped at any time, and goes on when it is given again. (BenchMARL's
+checkpoints lack the state of its optimisers, and a resumed job draws other games.)
+
+At the end it writes, from all finished jobs: ``marl.json`` in the format of marl-eval, and from it the page ``marl.md``
+and the picture ``marl.png`` (``--tables`` writes these two alone).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import math
+import os
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from importlib import import_module
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import publish
+from scipy.stats import trim_mean
+
+from ptne_env import PolicySpec, VectorParallelEnv
+from ptne_env.bench import get_suite
+from ptne_env.bench.report.style import COLOURS, FAINT, INK, drawing
+from ptne_env.evaluation import POLICIES
+from ptne_env.evaluation.run import compare
+from ptne_env.shared.files import write_atomically
+
+HOME = Path(__file__).parent
+DATA, PAGE, PICTURE = HOME / "marl.json", HOME / "marl.md", HOME / "marl.png"
+SUITE = get_suite("ptne-v1")
+TRACKS = ("switching-physical", "switching-transformed", "rough-links", "rounding")
+
+LIBRARIES = {
+    **dict.fromkeys(("ippo", "mappo", "iddpg", "maddpg", "isac", "masac"), "benchmarl"),
+    "ppo": "stable_baselines3",
+    "sac": "stable_baselines3",
+    "recurrent-ppo": "sb3_contrib",
+}
+"""The algorithms, and the module that has each."""
+
+PACKAGES = {"benchmarl": "benchmarl", "stable_baselines3": "stable-baselines3", "sb3_contrib": "sb3-contrib"}
+OFF_POLICY = ("iddpg", "maddpg", "isac", "masac", "sac")
+
+ENVS, ROLLOUT, UNIT = 32, 64, 30_720
+"""Environments stepped together and their steps in a rollout, of tuned settings. Agent-steps are multiples of a unit,
+which holds whole rollouts of every setting for five players."""
+
+DEFAULT = -1
+"""The trial that is no trial: the library's defaults."""
+
+FIRST: Mapping[str, float] = {
+    "learning_rate": 1e-3, "discount": 0.9, "hidden": 64, "trace": 0.9, "epochs": 5, "minibatches": 8, "spread": 0.4,
+    "updates": 16, "batch": 256, "entropy": 1e-3, "reward": 1.0,
+}  # fmt: skip
+"""Trial 0: the settings of :mod:`ptne_env.learn.training.defaults`, as far as the libraries share them."""
+
+CHOICES: Mapping[str, tuple[float, ...]] = {
+    "learning_rate": (1e-4, 3e-4, 1e-3, 3e-3),
+    "discount": (0.8, 0.9, 0.95, 0.99),  # of rewards
+    "hidden": (64, 128, 256),  # units in each of two layers
+    "trace": (0.8, 0.9, 0.95),  # λ of the generalised advantage estimate
+    "epochs": (3, 5, 10),  # passes over a rollout
+    "minibatches": (8, 16, 32),  # of a rollout
+    "spread": (0.1, 0.2, 0.4, 0.8),  # standard deviation of the first actions
+    "updates": (8, 16, 32),  # of algorithms with a buffer, per 8 steps of all environments
+    "batch": (128, 256, 512),  # agent-steps in an update from a buffer
+    "entropy": (1e-4, 1e-3, 1e-2),  # its first weight
+    "reward": (1.0, 10.0, 100.0),  # of a digit; that of a step is of order 0.01
+}
+"""What a further trial draws from, the same for every algorithm; each uses the entries that it knows."""
+
+ENOUGH_TRIALS, FLAT = 20, 0.1
+"""With fewer trials, or when the last fifth of its curve gains more digits, a result is unfinished."""
+
+TUNING_SEED = 1000
+"""Seed of the trials, none of which is in the table."""
+
+VALIDATION_GAMES = 20
+
+Report = Callable[[int, Any], None]
+"""Called with the agent-steps done and the policy as it is then."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A training.
+
+    Attributes:
+        algorithm: of :data:`LIBRARIES`.
+        trial: number of its setting, or :data:`DEFAULT`.
+        track: of ptne-v1.
+        seed: of networks, games and exploration.
+        steps: agent-steps.
+    """
+
+    algorithm: str
+    trial: int
+    track: str
+    seed: int
+    steps: int
+
+    @property
+    def name(self) -> str:
+        """Where its files lie in the folder."""
+        setting = "default" if self.trial == DEFAULT else f"trial-{self.trial}"
+        return f"{self.algorithm}/{setting}/{self.track}/{self.steps}-{self.seed}"
+
+    @property
+    def setting(self) -> dict[str, Any]:
+        """The drawn values."""
+        if self.trial <= 0:
+            return dict(FIRST)
+        generator = np.random.default_rng(self.trial)
+        return {name: values[generator.integers(len(values))] for name, values in CHOICES.items()}
+
+    @property
+    def every(self) -> int:
+        """Agent-steps between points of its curve."""
+        return UNIT * max(1, self.steps // (20 * UNIT))
+
+    def is_due(self, done: int) -> bool:
+        """Whether the curve has a point here."""
+        return done % self.every == 0 or done >= self.steps
+
+
+def digits(track: str, policy: Any, split: str) -> list[float]:
+    """The digits of a policy on games of a split: of the suite's own number of games, or of some for the curve."""
+    games = SUITE.episode_set(track, VALIDATION_GAMES if split == "validation" else None, split=split)
+    results = compare(SUITE.name, [SUITE.track(track)], [PolicySpec("trained", policy)], {track: games})
+    for reason in results.failures.values():
+        raise RuntimeError(reason)
+    return [round(value, 4) for value in results.samples[track, "trained"]["digits"][0].tolist()]
+
+
+def reward_of(job: Job) -> dict[str, float]:
+    """The reward of the environment: digits gained, times a number."""
+    return {"digits": 1.0 if job.trial == DEFAULT else job.setting["reward"]}
+
+
+def train_benchmarl(job: Job, folder: Path, report: Report) -> None:
+    """Train one of BenchMARL's algorithms, from its last checkpoint on."""
+    os.environ["TQDM_DISABLE"] = "1"
+    from benchmarl import algorithms
+    from benchmarl.experiment import Callback, Experiment, ExperimentConfig
+    from benchmarl.models.mlp import MlpConfig
+
+    from ptne_env.learn.benchmarl import NashSeekingTask, actor
+
+    class Reporter(Callback):
+        def on_train_end(self, training_td: Any, group: str) -> None:  # noqa: ARG002 - BenchMARL's signature
+            if job.is_due(self.experiment.total_frames * players):
+                report(self.experiment.total_frames * players, actor(self.experiment))
+
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    scenario = SUITE.track(job.track).scenario
+    players = VectorParallelEnv(scenario).num_players
+    config, model = ExperimentConfig.get_from_yaml(), MlpConfig.get_from_yaml()
+    algorithm = getattr(algorithms, f"{job.algorithm.capitalize()}Config").get_from_yaml()
+    kind = "off_policy" if job.algorithm in OFF_POLICY else "on_policy"
+    changes: dict[str, Any] = {f"{kind}_collected_frames_per_batch": UNIT // players}  # 6144, and 6000 by default
+    if job.trial != DEFAULT:
+        s = job.setting
+        model.num_cells = [s["hidden"]] * 2
+        changes = {"lr": s["learning_rate"], "gamma": s["discount"], f"{kind}_n_envs_per_worker": ENVS}
+        changes |= {
+            "on_policy_collected_frames_per_batch": ENVS * ROLLOUT,
+            "on_policy_n_minibatch_iters": s["epochs"],
+            "on_policy_minibatch_size": ENVS * ROLLOUT // s["minibatches"],
+            "off_policy_collected_frames_per_batch": ENVS * 8,
+            "off_policy_init_random_frames": ENVS * ROLLOUT,
+            "off_policy_n_optimizer_steps": s["updates"],
+            "off_policy_train_batch_size": s["batch"] // players,
+            "exploration_eps_init": s["spread"],
+        }
+        own = {"lmbda": s["trace"], "scale_mapping": f"biased_softplus_{s['spread']}", "alpha_init": s["entropy"]}
+        for name in own.keys() & vars(algorithm).keys():
+            setattr(algorithm, name, own[name])
+    frames = job.steps // players
+    changes |= {"max_n_frames": frames, "off_policy_memory_size": frames, "evaluation": False, "loggers": []}
+    changes |= {"create_json": False, "save_folder": str(folder), "keep_checkpoints_num": 1}
+    changes |= {"checkpoint_interval": job.every // players}
+    checkpoints = sorted(folder.glob("*/checkpoints/*.pt"), key=lambda path: path.stat().st_mtime)
+    if checkpoints:
+        changes["restore_file"] = str(checkpoints[-1])
+    for name, value in changes.items():
+        setattr(config, name, value)
+    task = NashSeekingTask(job.track, {"scenario": scenario, "reward": reward_of(job)})
+    experiment, reporter = Experiment(task, algorithm, model, seed=1000 * job.seed, config=config), Reporter()
+    reporter.experiment = experiment
+    experiment.callbacks.append(reporter)  # an argument would be pickled, which a class in a function cannot be
+    experiment.run()
+
+
+def train_stable_baselines(job: Job, folder: Path, report: Report) -> None:
+    """Train an algorithm of Stable-Baselines3 or sb3-contrib, from its last checkpoint on."""
+    import torch
+
+    from ptne_env.envs.sb3 import PlayerVecEnv
+
+    torch.set_num_threads(1)
+    s = job.setting
+    name = {"ppo": "PPO", "sac": "SAC", "recurrent-ppo": "RecurrentPPO"}[job.algorithm]
+    algorithm = getattr(import_module(LIBRARIES[job.algorithm]), name)
+    is_default, is_recurrent = job.trial == DEFAULT, job.algorithm == "recurrent-ppo"
+    # A default rollout of PPO is 2048 steps of 5 members, one of RecurrentPPO 128 steps of 80.
+    envs = {"ppo": 1, "sac": 16, "recurrent-ppo": 16}[job.algorithm] if is_default else ENVS
+    env = PlayerVecEnv(SUITE.track(job.track).scenario, envs, seed=1000 * job.seed, reward=reward_of(job))
+    arguments: dict[str, Any] = {"buffer_size": job.steps} if job.algorithm in OFF_POLICY else {}
+    if not is_default:
+        arguments |= {"learning_rate": s["learning_rate"], "gamma": s["discount"]}
+        layers = {"net_arch": [s["hidden"]] * 2}
+        if job.algorithm in OFF_POLICY:
+            arguments |= {"batch_size": s["batch"], "train_freq": (8, "step"), "gradient_steps": s["updates"]}
+            arguments |= {"learning_starts": env.num_envs * ROLLOUT, "ent_coef": f"auto_{s['entropy']}"}
+        else:
+            arguments |= {"n_steps": ROLLOUT, "batch_size": env.num_envs * ROLLOUT // s["minibatches"]}
+            arguments |= {"n_epochs": s["epochs"], "gae_lambda": s["trace"]}
+            layers |= {"log_std_init": math.log(s["spread"])}
+            layers |= {"lstm_hidden_size": s["hidden"]} if is_recurrent else {}
+        arguments["policy_kwargs"] = layers
+    checkpoint, buffer = folder / "model.zip", folder / "buffer.pkl"
+    if checkpoint.exists():
+        model = algorithm.load(checkpoint, env=env, device="cpu")
+        if buffer.exists():
+            model.load_replay_buffer(buffer)
+    else:
+        kind = "MlpLstmPolicy" if is_recurrent else "MlpPolicy"
+        model = algorithm(kind, env, seed=job.seed, device="cpu", **arguments)
+    while model.num_timesteps < job.steps:
+        model.learn(job.every, reset_num_timesteps=False)
+        report(model.num_timesteps, model)
+        if job.algorithm in OFF_POLICY:
+            model.save_replay_buffer(buffer)
+        model.save(checkpoint)
+
+
+def run(job: Job, out: Path) -> str:
+    """Run a job that is not finished, and write its file; a line about it."""
+    file, folder = out / f"{job.name}.json", out / job.name
+    if file.exists():
+        return f"{job.name}: finished before"
+    folder.mkdir(parents=True, exist_ok=True)
+    progress = folder / "progress.json"
+    kept = json.loads(progress.read_text()) if progress.exists() else {"points": [], "seconds": 0.0, "cpu": 0.0}
+    last: dict[str, Any] = {}
+    began = [time.monotonic(), time.process_time()]
+
+    def report(done: int, policy: Any) -> None:
+        now = [time.monotonic(), time.process_time()]
+        point = {"step_count": done, "digits": digits(job.track, policy, "validation")}
+        kept["points"] = [each for each in kept["points"] if each["step_count"] < done] + [point]
+        kept["seconds"], kept["cpu"] = kept["seconds"] + now[0] - began[0], kept["cpu"] + now[1] - began[1]
+        if done >= job.steps:
+            last["test"] = digits(job.track, policy, "test")
+        write_atomically(progress, json.dumps(kept))
+        began[:] = [time.monotonic(), time.process_time()]
+
+    train = train_benchmarl if LIBRARIES[job.algorithm] == "benchmarl" else train_stable_baselines
+    try:
+        train(job, folder, report)
+    except Exception as error:  # noqa: BLE001 - of any library; the other jobs go on
+        return f"{job.name}: failed: {error!r}"
+    package = PACKAGES[LIBRARIES[job.algorithm]]
+    made_by = {name: version(name) for name in ("ptne-env", "torch", package)}
+    write_atomically(file, json.dumps({**asdict(job), **kept, **last, "versions": made_by}))
+    shutil.rmtree(folder)
+    return f"{job.name}: {np.mean(last['test']):.2f} digits in {kept['seconds']:.0f} s ({kept['cpu']:.0f} s of CPU)"
+
+
+def finished(out: Path) -> dict[Job, dict[str, Any]]:
+    """The files of all finished jobs."""
+    fields = Job.__dataclass_fields__
+    files = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(out.glob("*/*/*/*.json"))]
+    return {Job(**{name: file[name] for name in fields}): file for file in files}
+
+
+def best_trials(found: Mapping[Job, dict[str, Any]], steps: int) -> dict[str, tuple[int, int]]:
+    """Of each algorithm the trial with the most digits at its end, on the mean of its tracks, and how many it had.
+
+    Trials count that have the most tracks. Without any it is trial 0, one of one.
+    """
+    best = {}
+    for algorithm in LIBRARIES:
+        scores: dict[int, list[float]] = {}
+        for job, file in found.items():
+            if (job.algorithm, job.seed, job.steps) == (algorithm, TUNING_SEED, steps):
+                scores.setdefault(job.trial, []).append(float(np.mean(file["points"][-1]["digits"])))
+        whole = {trial: each for trial, each in scores.items() if len(each) == max(map(len, scores.values()))}
+        best[algorithm] = max(whole, key=lambda trial: float(np.mean(whole[trial])), default=0), max(1, len(whole))
+    return best
+
+
+def collect(found: Mapping[Job, dict[str, Any]], steps: int) -> dict[str, Any]:
+    """Runs in the format of marl-eval: environment, task, algorithm, seed, points of the curve.
+
+    Beside digits of each game, the last entry of a run holds its seconds, those of its processor, and the trials made.
+    """
+    best, tasks = best_trials(found, steps), {}
+    for job, file in sorted(found.items(), key=lambda item: (item[0].track, [*LIBRARIES].index(item[0].algorithm))):
+        if job.steps != steps or job.seed == TUNING_SEED or job.trial not in (DEFAULT, best[job.algorithm][0]):
+            continue
+        is_default = job.trial == DEFAULT
+        last = {"digits": file["test"], "seconds": [round(file["seconds"])], "cpu_seconds": [round(file["cpu"])]}
+        last["trials"] = [0 if is_default else best[job.algorithm][1]]
+        points = {f"step_{number}": point for number, point in enumerate(file["points"])}
+        runs = tasks.setdefault(job.track, {}).setdefault(job.algorithm + "-default" * is_default, {})
+        runs[f"seed_{job.seed}"] = {**points, "absolute_metrics": last}
+    return {SUITE.name: tasks}
+
+
+def interquartile(samples: np.ndarray) -> tuple[float, float, float]:
+    """The interquartile mean of samples (seeds, games), and its 95 % interval by a bootstrap over seeds and games."""
+    generator = np.random.default_rng(0)
+    seeds, games = samples.shape
+    drawn = [
+        trim_mean(
+            samples[np.ix_(generator.integers(seeds, size=seeds), generator.integers(games, size=games))], 0.25, None
+        )
+        for _ in range(1000)
+    ]
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return float(trim_mean(samples, 0.25, None)), float(low), float(high)
+
+
+def curve(runs: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Agent-steps, and the interquartile mean of the digits over seeds and games there."""
+    steps = [[each["step_count"] for name, each in run.items() if name != "absolute_metrics"] for run in runs.values()]
+    values = [[each["digits"] for name, each in run.items() if name != "absolute_metrics"] for run in runs.values()]
+    return np.array(steps[0]), np.array([trim_mean(point, 0.25, None) for point in np.array(values).swapaxes(0, 1)])
+
+
+def last_fifth(runs: Mapping[str, Any]) -> float:
+    """The digits that the last fifth of the curve gains."""
+    steps, values = curve(runs)
+    return float(values[-1] - np.interp(0.8 * steps[-1], steps, values))
+
+
+def lines(track: str) -> dict[str, float]:
+    """The published digits of the paper's law and of the best law on a track."""
+    found = publish.read()
+    laws = [name for name, spec in POLICIES.items() if not (spec.is_oracle or spec.files)]
+    cells = {name: found.cell(SUITE.name, track, name) for name in laws}
+    scores = {name: float(cell["mean"]) for name, cell in cells.items() if cell is not None}
+    best = max(scores, key=lambda name: scores[name])
+    return {"static": scores["static"], best: scores[best]}
+
+
+def page(data: Mapping[str, Any]) -> str:
+    """The text of the page."""
+    tasks = data[SUITE.name]
+    names = dict.fromkeys(name for algorithms in tasks.values() for name in algorithms)
+    rows = []
+    for name in sorted(names, key=lambda name: ("-default" in name, [*LIBRARIES].index(name.removesuffix("-default")))):
+        found = {track: algorithms[name] for track, algorithms in tasks.items() if name in algorithms}
+        runs = [run["absolute_metrics"] for each in found.values() for run in each.values()]
+        cells = []
+        for track in tasks:
+            if track not in found:
+                cells.append("–")
+                continue
+            mean, low, high = interquartile(np.array([r["absolute_metrics"]["digits"] for r in found[track].values()]))
+            gain = last_fifth(found[track])
+            cells.append(f"{mean:.2f} [{low:.2f}, {high:.2f}]" + f", rising {gain:.2f}" * (gain > FLAT))
+        trials = runs[0]["trials"][0]
+        is_done = trials >= ENOUGH_TRIALS and not any("rising" in cell for cell in cells)
+        seconds, cpu = (round(float(np.mean([run[key][0] for run in runs]))) for key in ("seconds", "cpu_seconds"))
+        seeds = sorted({len(each) for each in found.values()})
+        state = "" if is_done else "unfinished"
+        counts = ["–".join(map(str, dict.fromkeys((seeds[0], seeds[-1])))), str(trials), f"{seconds} ({cpu})"]
+        rows.append([name, *cells, *counts, state])
+    for label, index in (("the paper's law (static)", 0), ("best law", 1)):
+        laws = [[*lines(track).items()][index] for track in tasks]
+        cells = [f"{value:.2f}" + f" ({name})" * index for name, value in laws]
+        rows.append([label, *cells, "", "", "", ""])
+    steps = next(curve(runs)[0][-1] for algorithms in tasks.values() for runs in algorithms.values())
+    headings = ["algorithm", *tasks, "seeds", "trials", "seconds (of CPU)", ""]
+    return TEXT.format(steps=int(steps), table=publish.markdown(headings, rows), enough=ENOUGH_TRIALS, flat=FLAT)
+
+
+TEXT = """# The field's algorithms
+
+Digits of algorithms of [BenchMARL](https://github.com/facebookresearch/BenchMARL) (`ippo` to `masac`),
+[Stable-Baselines3](https://github.com/DLR-RM/stable-baselines3) (`ppo`, `sac`) and sb3-contrib (`recurrent-ppo`) on
+tracks of ptne-v1, after {steps:,} agent-steps each. `python baselines/marl.py` trains them and writes this page; its
+first lines say how to install the libraries. [marl.json](marl.json) holds all runs in the format of marl-eval.
+
+{table}
+
+- A number is the interquartile mean over seeds and the 60 test games, with a 95 % interval by a bootstrap over both.
+  The laws' are means over the same games.
+- `rising x`: the last fifth of the learning curve (on 20 validation games) gained x digits, more than {flat}.
+- `trials` counts the settings tried for a row; the best on validation games, of another seed, is shown. Trial 0 is
+  that of [learning.md](../docs/learning.md). A row `-default` has the library's defaults, as they are.
+- `unfinished` is every row that has fewer than {enough} trials or is still rising somewhere. It says what these
+  algorithms had learned by then, not what they can learn.
+- All players share one network and act from their own observations. The critics of `mappo`, `maddpg` and `masac` see
+  those of all players in training. Each policy is trained on the track it plays, on other games.
+- Seconds are the mean wall time of a training on one core that other work shared, and in brackets its processor time.
+
+![Learning curves](marl.png)
+"""
+
+
+def draw(data: Mapping[str, Any], path: Path) -> None:
+    """Draw the learning curves, a panel per track, with the laws as lines."""
+    tasks = data[SUITE.name]
+    with drawing("learning curves"):
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(8, 2.6 * math.ceil(len(tasks) / 2)), layout="constrained")
+        panels = figure.subplots(math.ceil(len(tasks) / 2), 2, squeeze=False).ravel()
+        for axes, (track, algorithms) in zip(panels, tasks.items(), strict=False):
+            for name, runs in algorithms.items():
+                number = [*LIBRARIES].index(name.removesuffix("-default"))
+                style = ":" if name.endswith("-default") else "-"
+                axes.plot(*curve(runs), style, color=COLOURS[number], label=name)
+            for style, colour, (law, value) in zip(("--", "-."), (FAINT, INK), lines(track).items(), strict=True):
+                axes.axhline(value, linestyle=style, color=colour, linewidth=1)
+                axes.annotate(law, (0, value), xytext=(0, 2), textcoords="offset points", color=colour, fontsize=7)
+            axes.set(title=track, ylabel="digits", xlabel="agent-steps")
+            axes.xaxis.set_major_formatter("{x:,.0f}")
+        for axes in panels[len(tasks) :]:
+            axes.remove()
+        handles = {
+            label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
+        figure.legend(handles.values(), handles.keys(), loc="outside right center")
+        figure.savefig(path, dpi=90, metadata={"Software": None})
+
+
+def carry_out(jobs: Sequence[Job], out: Path, workers: int) -> None:
+    """Run jobs, and tell of each that ends."""
+    began = time.monotonic()
+    tasks = (joblib.delayed(run)(job, out) for job in jobs)
+    for number, line in enumerate(joblib.Parallel(workers, return_as="generator_unordered")(tasks), 1):
+        print(f"{number} of {len(jobs)}, {(time.monotonic() - began) / 60:.1f} min: {line}", flush=True)
+
+
+def main() -> None:
+    """Tune, train and write."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    installed = [name for name, library in LIBRARIES.items() if find_spec(library)]
+    parser.add_argument("--tracks", nargs="+", default=TRACKS, choices=[track.name for track in SUITE.tracks])
+    parser.add_argument("--algorithms", nargs="+", default=installed, choices=installed)
+    parser.add_argument("--settings", nargs="+", default=["tuned"], choices=["tuned", "default"])
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=100 * UNIT, help=f"agent-steps of a job, a multiple of {UNIT}")
+    parser.add_argument("--trials", type=int, default=ENOUGH_TRIALS, help="settings tried; with 1 the first is taken")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=HOME.parent / "runs" / "marl")
+    parser.add_argument("--tables", action="store_true", help="write the page and the picture of marl.json alone")
+    given = parser.parse_args()
+    if given.steps % UNIT:
+        parser.error(f"--steps must be a multiple of {UNIT}")
+    if not given.tables:
+        places = [(track, algorithm) for track in given.tracks for algorithm in given.algorithms]
+        if given.trials > 1 and "tuned" in given.settings:
+            trials = [
+                Job(algorithm, trial, track, TUNING_SEED, given.steps)
+                for trial in range(given.trials)
+                for track, algorithm in places
+            ]
+            carry_out(trials, given.out, given.jobs)
+        best = best_trials(finished(given.out), given.steps)
+        jobs = [
+            Job(algorithm, DEFAULT if setting == "default" else best[algorithm][0], track, seed, given.steps)
+            for seed in range(given.seeds)
+            for setting in given.settings
+            for track, algorithm in places
+        ]
+        carry_out(jobs, given.out, given.jobs)
+        write_atomically(DATA, json.dumps(collect(finished(given.out), given.steps), separators=(",", ":")) + "\n")
+    data = json.loads(DATA.read_text(encoding="utf-8"))
+    write_atomically(PAGE, page(data))
+    draw(data, PICTURE)
+
+
+if __name__ == "__main__":
+    main()
