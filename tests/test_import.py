@@ -14,7 +14,7 @@ import ptne_env
 
 SOURCE = Path(ptne_env.__file__)
 HEAVY = (
-    *("torch", "matplotlib", "plotly", "scipy.stats", "stable_baselines3", "pandas", "onnxruntime", "networkx"),
+    *("torch", "matplotlib", "scipy.stats", "stable_baselines3", "pandas", "onnxruntime", "networkx"),
     *("jax", "torchrl", "tensordict"),
 )
 

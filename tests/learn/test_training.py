@@ -212,7 +212,7 @@ def test_the_picture_shows_every_run(run, tmp_path):
     assert list(steps) == [70 * done for done in range(1, 11)]
     assert np.isfinite(digits).all()
     lines = yardsticks(SCENARIO, 2)
-    assert list(lines)[0] == "static"
+    assert next(iter(lines)) == "static"
     assert len(lines) == 2
     assert max(lines.values()) > lines["static"]
     draw({"one": out, "two": out}, tmp_path / "curve.png", title="Training", steps=700, lines=lines)

@@ -7,19 +7,24 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from ptne_env._version import __version__
+from ptne_env.bench.report.dots import dot_plot
 from ptne_env.bench.report.page import Page, Part
-from ptne_env.bench.report.tables import answer, answer_table, leaderboard_table, ordered, regret_table, track_tables
+from ptne_env.bench.report.tables import (
+    answer,
+    answer_table,
+    leaderboard_table,
+    leaders,
+    ordered,
+    regret_table,
+    track_tables,
+)
 from ptne_env.bench.report.traces import Scene, scene
-from ptne_env.bench.suite import LAW
 from ptne_env.bench.workers import Workers
-from ptne_env.evaluation.entries import POLICIES, PolicySpec
+from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.tracks import Track
 from ptne_env.world.catalogue import DESCRIPTIONS
-
-SHOWN = 3
-"""Policies that the figures of a track show: the paper's law, the user's own, then the best."""
 
 EPISODES = 20
 """Episodes behind the errors over time; tracks with fewer have them all."""
@@ -45,10 +50,10 @@ def page(
         progress: called with the name of a track, and the numbers of finished tracks and of all.
 
     Raises:
-        ImportError: when Jinja or Plotly is missing, naming the extra to install.
+        ImportError: when Jinja is missing, naming the extra to install.
     """
-    order, found = ordered(results), {}
-    for index, made in workers.run(_scene, [_task(results, track, order) for track in results.tracks]):
+    found = {}
+    for index, made in workers.run(_scene, [_task(results, track) for track in results.tracks]):
         found[index] = made
         if progress is not None:
             progress(results.tracks[index].name, len(found), len(results.tracks))
@@ -63,14 +68,16 @@ def page(
         "Python": platform.python_version(),
     }
     return Page(
-        title=f"{results.name}, seed {results.seed}",
+        title=_title(results),
         question=_QUESTION,
         answer=answer(results),
+        dots=dot_plot(results),
         parts=(
             Part(
                 "Results",
                 "Digits are −log10 of the relative distance of all players' estimates from the equilibrium, counted up "
-                "to 12. The mean regret is what the way there costs the players. A click on a heading sorts.",
+                "to 12. The mean regret is what the way there costs the players. A click on a heading sorts; a shadow "
+                "at an edge tells that a table goes on there.",
                 (answer_table(results), regret_table(results), *([] if board is None else [board])),
             ),
             Part(
@@ -80,35 +87,51 @@ def page(
                 has_player=True,
             ),
             Part("Tracks", "Every metric, and the error over time. Brackets are 95 % intervals."),
-            *(_part(results, track, scenes[track.name]) for track in results.tracks),
+            *(_part(results, track, scenes[track.name].episodes) for track in results.tracks),
             Part("Reproduce", facts=tuple((name, value) for name, value in facts.items() if value)),
         ),
         scenes=scenes,
     ).html()
 
 
-def _task(results: Results, track: Track, order: Sequence[str]) -> tuple[Track, EpisodeSet, list[PolicySpec]]:
-    """The arguments of :func:`_scene`: the policies of ``order`` that act on a track, those that are shown."""
-    names = [name for name in order if (track.name, name) in results.samples]
-    names.sort(key=lambda name: (name != LAW, name in POLICIES))
+def _title(results: Results) -> str:
+    """What was compared, and on what."""
+    tracks = [track.name for track in results.tracks]
+    where = _few(tracks)
+    if not results.is_comparison:
+        where = f"{len(tracks)} tracks of {results.name}" if len(tracks) > 2 else f"{where} of {results.name}"
+    return f"{_few(ordered(results))} on {where}"
+
+
+def _few(names: Sequence[str], most: int = 3) -> str:
+    """The first of some names, and how many more there are."""
+    shown = [*names[:most], *([f"{len(names) - most} more"] if len(names) > most else [])]
+    return " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
+
+
+def _task(results: Results, track: Track) -> tuple[Track, EpisodeSet, list[PolicySpec]]:
+    """The arguments of :func:`_scene`: the leading policies that act on a track, or the best one where none does."""
+    acting = [name for name in ordered(results) if (track.name, name) in results.samples]
+    names = [name for name in leaders(results) if name in acting] or acting[:1]
     whole = results.episode_sets[track.name]
-    return track, replace(whole, count=min(EPISODES, whole.count)), [results.policies[name] for name in names[:SHOWN]]
+    return track, replace(whole, count=min(EPISODES, whole.count)), [results.policies[name] for name in names]
 
 
 def _scene(track: Track, episodes: EpisodeSet, policies: Sequence[PolicySpec]) -> Scene:
     return scene(track.world, episodes, policies, None if track.teammates is None else track.teammates.join)
 
 
-def _part(results: Results, track: Track, found: Scene) -> Part:
+def _part(results: Results, track: Track, episodes: int) -> Part:
     scenario, game = track.scenario, track.world.game
     about = DESCRIPTIONS.get(track.name, "") if results.is_comparison else track.change
-    median = f"median and 10–90 % band over {found.episodes} episodes" if found.episodes > 1 else "one episode"
+    until = "the end; the deadline is dotted" if scenario.hold_steps else "the deadline"
+    median = f"median and 10–90 % band over {episodes} episodes" if episodes > 1 else "one episode"
     return Part(
         track.name,
         f"{about} {type(game).__name__} with {game.num_players} players; T = {scenario.deadline:g} s, "
         f"c = {scenario.gain:g} per second, {scenario.steps} steps to the deadline, {scenario.hold_steps} after it.",
         tuple(track_tables(results, track)),
-        scene=found,
-        caption=f"Relative error of all players' estimates over time; the deadline is dotted; {median}.",
+        scene=track.name,
+        caption=f"Relative error of all players' estimates until {until}; {median}.",
         is_folded=True,
     )

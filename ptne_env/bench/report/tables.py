@@ -140,14 +140,14 @@ def answer_table(results: Results) -> Table:
     Args:
         results: of a comparison or of another suite.
     """
-    tracks, overall = [track.name for track in results.tracks], _overall(results)
+    tracks, means = [track.name for track in results.tracks], overall(results)
     score = f"mean of {len(tracks)}" if results.is_comparison else "score"
     columns = []
     for name in ordered(results):
         cells = {track: Cell.plus_minus(results.summary(track, name, "digits")) for track in tracks}
         cells |= {track: Cell("failed") for track, policy in results.failures if policy == name}
-        if name in overall:
-            digits, regret = overall[name]
+        if name in means:
+            digits, regret = means[name]
             cells |= {score: Cell.plus_minus(digits), MEAN_REGRET: Cell.plain(regret)}
         columns.append(Column(_marked(results, name), cells, f"digits of {name}"))
     counts = sorted({results.episodes[track] for track in tracks})
@@ -160,7 +160,7 @@ def answer_table(results: Results) -> Table:
     return Table(
         f"Digits at the deadline ± half of the 95 % interval, {episodes} episodes",
         "scenario" if results.is_comparison else "track",
-        (*tracks, score, MEAN_REGRET) if len(tracks) > 1 and overall else (*tracks, MEAN_REGRET),
+        (*tracks, score, MEAN_REGRET) if len(tracks) > 1 and means else (*tracks, MEAN_REGRET),
         tuple(columns),
         tuple(notes),
     )
@@ -264,16 +264,16 @@ def leaders(results: Results) -> dict[str, str]:
 
 def _best_first(results: Results) -> list[str]:
     """The names of the policies by rank: in a suite by the score, in a comparison by first places and mean digits."""
-    overall, acting = _overall(results), {name for _, name in (*results.samples, *results.failures)}
+    means, acting = overall(results), {name for _, name in (*results.samples, *results.failures)}
     firsts = first_places(results) if results.is_comparison else {}
 
     def key(name: str) -> tuple[bool, int, float, float]:
-        return results.policies[name].is_oracle, -len(firsts.get(name, ())), *standing(*overall.get(name, (None, None)))
+        return results.policies[name].is_oracle, -len(firsts.get(name, ())), *standing(*means.get(name, (None, None)))
 
     return sorted((name for name in results.policies if name in acting), key=key)
 
 
-def _overall(results: Results) -> dict[str, tuple[Summary, Summary]]:
+def overall(results: Results) -> dict[str, tuple[Summary, Summary]]:
     """The means of digits and of mean regrets over tracks: of a suite's scored ones, or of all of a comparison."""
     board = leaderboard(results)
     if board is not None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from ptne_env.bench.report.page import Page, Part
-from ptne_env.bench.report.rendering import Renderer, pixels
-from ptne_env.bench.report.style import drawing
+from ptne_env.bench.report.rendering import Renderer
 from ptne_env.bench.report.traces import scene
 from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
@@ -22,9 +21,6 @@ from ptne_env.shared.files import write_atomically
 from ptne_env.world.dynamics import State
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 FORMATS = (".gif", ".html")
 """Suffixes of the files that videos are written to."""
@@ -71,14 +67,13 @@ def save_video(
         page = Page(f"{scenario.name}: {spec.name}", (player,), scenes={scenario.name: scene(world, episode, [spec])})
         write_atomically(path, page.html())
         return
-    with drawing("videos"):
-        write_atomically(path, _gif(_pictures(world, spec, episode.initial_state(world), pictures, progress)))
+    write_atomically(path, _gif(_pictures(world, spec, episode.initial_state(world), pictures, progress)))
 
 
 def _pictures(
     world: World, spec: PolicySpec, start: State, count: int, progress: Callable[[int, int], None] | None
-) -> Iterator[Figure]:
-    """The same figure ``count`` times, brought up to date for each."""
+) -> Iterator[Any]:
+    """``count`` pictures of an episode, (height, width, 3) uint8 each."""
     encoder = make_encoder(world, spec.interface)
     states: list[State] = []
 
@@ -94,16 +89,17 @@ def _pictures(
         if step > 0:
             renderer.record(state)
         if step in wanted:
-            yield renderer.update()
+            yield renderer.draw()
             if progress is not None:
                 progress(1 + wanted.index(step), len(wanted))
 
 
-def _gif(figures: Iterator[Figure]) -> bytes:
+def _gif(pictures: Iterator[Any]) -> bytes:
+    drawn = list(pictures)  # matplotlib, which needs Pillow, is missed first
     from PIL import Image
 
     # Matplotlib's PillowWriter gives every picture its own palette: colours flicker, and files are ten times larger.
-    images = [Image.fromarray(pixels(figure)) for figure in figures]
+    images = [Image.fromarray(picture) for picture in drawn]
     palette = images[-1].quantize(colors=256)  # the last picture has every colour
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     durations = [1000 // PER_SECOND] * (len(images) - 1) + [1000 * _HOLD]

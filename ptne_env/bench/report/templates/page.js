@@ -24,13 +24,9 @@ for (const button of document.querySelectorAll("th button")) {
   button.addEventListener("click", () => sortBy(button.closest("th")));
 }
 
-let plotly = null;
 async function draw(chart) {
-  plotly ??= unpack("plotly").then((textContent) => {
-    document.head.append(Object.assign(document.createElement("script"), { textContent }));
-  });
-  const [{ data, layout }] = await Promise.all([unpack(chart.id).then(JSON.parse), plotly]);
-  Plotly.newPlot(chart, data, layout, { responsive: true, displayModeBar: false });
+  const scene = JSON.parse(await unpack(chart.dataset.scene));
+  chart.replaceChildren(legend(Object.keys(scene.traces)), errorsChart(scene, chart.clientWidth).svg);
 }
 
 const watcher = new IntersectionObserver((entries) => {

@@ -32,12 +32,13 @@ function niceTicks(low, high) {
 }
 
 /** A small chart of lines over time with a cursor; y is drawn as scale(y), and values beyond low and high are cut. */
-function lineChart(scene, lines, { height, low, high, ticks, label, scale = (value) => value, written = number }) {
-  const right = WIDTH - RIGHT, bottom = height - BOTTOM, end = scene.t.at(-1), deadline = scene.t[scene.deadline];
+function lineChart(scene, lines, options) {
+  const { width = WIDTH, height, low, high, ticks, label, scale = (value) => value, written = number } = options;
+  const right = width - RIGHT, bottom = height - BOTTOM, end = scene.t.at(-1), deadline = scene.t[scene.deadline];
   const px = (time) => LEFT + time / end * (right - LEFT);
   const share = (value) => (scale(value) - scale(low)) / (scale(high) - scale(low) || 1);
   const py = (value) => bottom - share(Math.min(high, Math.max(low, value))) * (bottom - TOP);
-  const svg = drawn("svg", { viewBox: `0 0 ${WIDTH} ${height}`, role: "img", "aria-label": label });
+  const svg = drawn("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
   const write = (text, x, y, anchor) => svg.append(drawn("text", { x, y, "text-anchor": anchor }, text));
   for (const tick of ticks) {
     svg.append(drawn("line", { class: "grid", x1: LEFT, x2: right, y1: py(tick), y2: py(tick) }));
@@ -49,12 +50,13 @@ function lineChart(scene, lines, { height, low, high, ticks, label, scale = (val
     svg.append(drawn("line", { class: "deadline", x1: px(deadline), x2: px(deadline), y1: TOP, y2: bottom }));
     write("T", px(deadline) - 3, TOP + 11, "end");
   }
-  for (const { y, ...style } of lines) {
+  for (const { from, y, ...style } of lines) {
     let d = "";
     y.forEach((value, frame) => {
       if (value === null) return;
       d += `${d && y[frame - 1] !== null ? "L" : "M"}${px(scene.t[frame]).toFixed(1)} ${py(value).toFixed(1)}`;
     });
+    if (from) d += from.map((value, frame) => `L${px(scene.t[frame]).toFixed(1)} ${py(value).toFixed(1)}`).reverse().join("");
     svg.append(drawn("path", { d, fill: "none", ...style }));
   }
   svg.append(drawn("rect", { class: "frame", x: LEFT, y: TOP, width: right - LEFT, height: bottom - TOP }));
@@ -68,17 +70,16 @@ function lineChart(scene, lines, { height, low, high, ticks, label, scale = (val
 /** Strategies as thick lines, estimates of other players as thin ones, the equilibrium dotted. */
 function strategyChart(scene, name) {
   const { strategies, estimates } = scene.traces[name], { equilibrium, owners } = scene;
-  const shifted = (offsets, component) => offsets.map((offset) => offset === null ? null : equilibrium[component] + offset);
   const stroke = (component) => colourOf(owners[component]);
   const lines = [
-    ...estimates.flatMap((players, component) => players.map((offsets) => (
-      { y: shifted(offsets, component), stroke: stroke(component), "stroke-width": 0.8, opacity: 0.45 }
+    ...estimates.flatMap((players, component) => players.map((y) => (
+      { y, stroke: stroke(component), "stroke-width": 0.8, opacity: 0.45 }
     ))),
     ...equilibrium.map((value, component) => (
       { y: scene.t.map(() => value), stroke: stroke(component), "stroke-dasharray": "1 3" }
     )),
-    ...strategies.map((offsets, component) => (
-      { y: shifted(offsets, component), stroke: stroke(component), "stroke-width": 1.8 }
+    ...strategies.map((y, component) => (
+      { y, stroke: stroke(component), "stroke-width": 1.8 }
     )),
   ];
   const starts = [...equilibrium, ...lines.map(({ y }) => y[0])];  // lines that run far beyond these are cut
@@ -90,12 +91,36 @@ function strategyChart(scene, name) {
 
 const superscript = (power) => [...String(power)].map((sign) => sign === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[sign]).join("");
 
+const logarithms = (values) => values.map((value) => Math.log10(Math.max(value, 1e-12)));
+
+/** A chart of logarithms of errors. */
+function powerChart(scene, lines, options) {
+  const values = lines.flatMap(({ y, from = [] }) => [...y, ...from]);
+  const low = Math.min(...values), high = Math.max(...values), ticks = niceTicks(low, high).filter(Number.isInteger);
+  return lineChart(scene, lines, { low, high, ticks, written: (power) => `10${superscript(power)}`, ...options });
+}
+
 function errorChart(scene, name) {
-  const y = scene.traces[name].error.map((value) => Math.log10(Math.max(value, 1e-12)));
-  const low = Math.min(...y), high = Math.max(...y), ticks = niceTicks(low, high).filter(Number.isInteger);
-  const written = (power) => `10${superscript(power)}`;
-  const lines = [{ y, stroke: "var(--accent)", "stroke-width": 1.8 }];
-  return lineChart(scene, lines, { height: 120, low, high, ticks, written, label: `Error of the estimates of ${name}` });
+  const lines = [{ y: logarithms(scene.traces[name].error), stroke: "var(--accent)", "stroke-width": 1.8 }];
+  return powerChart(scene, lines, { height: 120, label: `Error of the estimates of ${name}` });
+}
+
+/** The errors of all policies of a scene over its episodes: medians, and bands where there are several. */
+function errorsChart(scene, width) {
+  const traces = Object.entries(scene.traces).map(([name, { errors }]) => [POLICIES[name], errors.map(logarithms)]);
+  const lines = [
+    ...traces.filter(([, errors]) => errors.length > 1).map(([fill, [from, , y]]) => ({ y, from, fill, opacity: 0.2 })),
+    ...traces.map(([stroke, errors]) => ({ y: errors.at(errors.length > 1 ? 1 : 0), stroke, "stroke-width": 2 })),
+  ].reverse();  // the first policy, the law of the paper, is drawn last: nothing hides it
+  return powerChart(scene, lines, { width, height: 300, label: "Errors of the estimates over time" });
+}
+
+function legend(names) {
+  return element("p", { className: "note" }, ...names.flatMap((name) => {
+    const mark = element("span", { textContent: "● " });
+    mark.style.color = POLICIES[name];
+    return [mark, `${name}\u2003`];
+  }));
 }
 
 function inputChart(scene, name) {
