@@ -39,14 +39,14 @@ def _without_type(parameters: list[Any]) -> list[Any]:
 
 
 class _Group(TyperGroup):
-    def get_params(self, ctx: typer.Context) -> list[Any]:
+    def get_params(self, ctx: Any) -> list[Any]:
         return _without_type(super().get_params(ctx))
 
 
 class Command(TyperCommand):
     """The class of every command."""
 
-    def get_params(self, ctx: typer.Context) -> list[Any]:  # noqa: D102 - typer's
+    def get_params(self, ctx: Any) -> list[Any]:  # noqa: D102 - typer's
         return _without_type(super().get_params(ctx))
 
 

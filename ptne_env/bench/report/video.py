@@ -67,7 +67,7 @@ def save_video(
         page = Page(f"{scenario.name}: {spec.name}", (player,), scenes={scenario.name: scene(world, episode, [spec])})
         write_atomically(path, page.html())
         return
-    write_atomically(path, _gif(_pictures(world, spec, episode.initial_state(world), pictures, progress)))
+    write_atomically(path, gif(_pictures(world, spec, episode.initial_state(world), pictures, progress)))
 
 
 def _pictures(
@@ -94,15 +94,22 @@ def _pictures(
                 progress(1 + wanted.index(step), len(wanted))
 
 
-def _gif(pictures: Iterator[Any]) -> bytes:
+def gif(pictures: Iterator[Any], per_second: int = PER_SECOND) -> bytes:
+    """Pictures as the bytes of a GIF that stays on the last one for a while.
+
+    Args:
+        pictures: (height, width, 3) uint8 each.
+        per_second: how many are shown.
+    """
     drawn = list(pictures)  # matplotlib, which needs Pillow, is missed first
     from PIL import Image
 
     # Matplotlib's PillowWriter gives every picture its own palette: colours flicker, and files are ten times larger.
     images = [Image.fromarray(picture) for picture in drawn]
-    palette = images[-1].quantize(colors=256)  # the last picture has every colour
+    palette = images[-1].quantize(colors=255)  # the last picture has every colour
+    palette.putpalette([255, 255, 255, *(palette.getpalette() or ())])  # the mean of nearly white ones is not white
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    durations = [1000 // PER_SECOND] * (len(images) - 1) + [1000 * _HOLD]
+    durations = [1000 // per_second] * (len(images) - 1) + [1000 * _HOLD]
     buffer = io.BytesIO()
     images[0].save(buffer, "gif", save_all=True, append_images=images[1:], duration=durations, loop=0)
     return buffer.getvalue()

@@ -1,0 +1,103 @@
+"""Animate one episode of every track of ptne-v1: ``python baselines/animate.py`` writes ``docs/images/tracks.gif``.
+
+A panel per track. Left: all players' strategies (thick), the estimates of them by the others (thin) and the equilibrium
+(dotted); the axis is the root of the step, because most happens early. Right: the players and the links that are up.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from ptne_env.bench import get_suite
+from ptne_env.bench.report.style import COLOURS, FAINT, INK, drawing
+from ptne_env.bench.report.traces import Scene, scene
+from ptne_env.bench.report.video import gif
+from ptne_env.evaluation import get_policy_spec
+from ptne_env.shared.files import write_atomically
+
+COLUMNS, PICTURES, PER_SECOND = 3, 60, 10
+
+
+class Panel:
+    """The two axes of a track, and the lines that grow."""
+
+    def __init__(self, title: str, found: Scene, policy: str, left: Any, right: Any) -> None:
+        self.scene, trace = found, found.traces[policy]
+        colours = np.array([COLOURS[owner % len(COLOURS)] for owner in found.owners])
+        lines, kinds = [trace.strategies], [(colours, 1.3, 1.0)]
+        if trace.estimates is not None:
+            dimension, players, instants = trace.estimates.shape
+            lines.insert(0, trace.estimates.reshape(dimension * players, instants))
+            kinds.insert(0, (np.repeat(colours, players), 0.5, 0.5))
+        self.steps = np.sqrt(np.arange(len(found.t)))
+        self.lines = lines
+        self.drawn = [LineCollection([], colors=each, linewidths=width, alpha=alpha) for each, width, alpha in kinds]
+        shown = np.concatenate([found.equilibrium, trace.strategies[:, 0]])
+        room = 0.4 * np.ptp(shown)
+        left.set(xlim=(0, self.steps[-1]), ylim=(shown.min() - room, shown.max() + room), xticks=[], yticks=[])
+        left.hlines(found.equilibrium, 0, self.steps[-1], colours, linestyles=":", linewidth=0.7)
+        left.set_title(title, fontsize=9, loc="left", pad=3)
+        for each in self.drawn:
+            left.add_collection(each)
+        angles = np.pi / 2 - 2 * np.pi * np.arange(found.owners[-1] + 1) / (found.owners[-1] + 1)
+        self.places = np.column_stack([np.cos(angles), np.sin(angles)])
+        right.set(aspect="equal", xlim=(-1.3, 1.3), ylim=(-1.3, 1.3))
+        right.axis("off")
+        right.add_collection(LineCollection(self.places[found.links], colors=FAINT, linewidths=0.3, linestyles=":"))
+        self.links = LineCollection([], colors=INK, linewidths=0.8 if len(angles) < 15 else 0.2)
+        right.add_collection(self.links)
+        nodes = [COLOURS[player % len(COLOURS)] for player in range(len(angles))]
+        right.scatter(*self.places.T, s=18 if len(angles) < 15 else 5, color=nodes, zorder=3)
+
+    def show(self, share: float) -> None:
+        """The episode up to a share of its steps."""
+        last = 1 + round(share**2 * (len(self.steps) - 1))
+        for drawn, values in zip(self.drawn, self.lines, strict=True):
+            drawn.set_segments([np.column_stack([self.steps[:last], line[:last]]) for line in values])
+        self.links.set_segments(self.places[self.scene.links[self.scene.live[:, last - 1]]])
+
+
+def pictures(policy: str, count: int) -> Iterator[Any]:
+    """The frames of all tracks, side by side."""
+    suite, spec = get_suite("ptne-v1"), get_policy_spec(policy)
+    rows = -(-len(suite.tracks) // COLUMNS)
+    with drawing("animations", {"axes.grid": False, "axes.spines.left": False, "axes.spines.bottom": False}):
+        figure = Figure(figsize=(3.2 * COLUMNS, 1.35 * rows), dpi=100, layout="constrained")
+        canvas = FigureCanvasAgg(figure)
+        axes = figure.subplots(rows, 2 * COLUMNS, width_ratios=COLUMNS * [2, 1], squeeze=False)
+        for each in axes.flat:
+            each.axis("off")
+        panels = []
+        for place, track in enumerate(suite.tracks):
+            left, right = axes[place // COLUMNS, 2 * (place % COLUMNS) : 2 * (place % COLUMNS) + 2]
+            team = None if track.teammates is None else track.teammates.join
+            found = scene(track.world, suite.episode_set(track.name, 1), [spec], team)
+            left.axis("on")
+            panels.append(Panel(track.name, found, spec.name, left, right))
+        for share in np.linspace(0, 1, count):
+            for panel in panels:
+                panel.show(share)
+            canvas.draw()
+            yield np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+
+
+def main() -> None:
+    """Draw and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--policy", default="observer-relay")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "images" / "tracks.gif")
+    given = parser.parse_args()
+    write_atomically(given.out, gif(pictures(given.policy, PICTURES), PER_SECOND))
+    print(f"written: {given.out}, {given.out.stat().st_size} bytes")
+
+
+if __name__ == "__main__":
+    main()
