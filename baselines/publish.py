@@ -129,7 +129,7 @@ def by_track(found: Published, suite: str, policies: Sequence[str]) -> str:
 
 def headline(found: Published) -> str:
     """The score and mean regret on ptne-v1, and the digits on some of its tracks, of a few policies."""
-    tracks = ("switching-physical", "rough-links", "rounding", "liar", "curved", "crowd-50")
+    tracks = ("switching-physical", "rough-links", "liar", "crowd-50")
     rows = [
         [
             policy,

@@ -172,7 +172,7 @@ def test_documents_keep_their_budgets():
     sizes = {document.name: len(document.read_bytes()) for document in DOCUMENTS}
     assert sizes.pop("README.md") <= 7_000
     assert sizes["architecture.md"] <= 6_000
-    assert len(sizes) <= 16
+    assert len(sizes) <= 18
     assert sum(sizes.values()) <= 150_000
 
 

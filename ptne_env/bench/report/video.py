@@ -106,8 +106,7 @@ def gif(pictures: Iterator[Any], per_second: int = PER_SECOND) -> bytes:
 
     # Matplotlib's PillowWriter gives every picture its own palette: colours flicker, and files are ten times larger.
     images = [Image.fromarray(picture) for picture in drawn]
-    palette = images[-1].quantize(colors=255)  # the last picture has every colour
-    palette.putpalette([255, 255, 255, *(palette.getpalette() or ())])  # the mean of nearly white ones is not white
+    palette = images[-1].quantize(colors=256)  # the last picture has every colour
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     durations = [1000 // per_second] * (len(images) - 1) + [1000 * _HOLD]
     buffer = io.BytesIO()
