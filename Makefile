@@ -58,8 +58,9 @@ soak: core $(VENV)/.test
 smoke: SMOKE := $(abspath $(VENV)-smoke)
 smoke:
 	$(PYTHON) -m venv --clear $(SMOKE)
-	$(SMOKE)/bin/pip install --quiet --disable-pip-version-check build
+	$(SMOKE)/bin/pip install --quiet --disable-pip-version-check build twine
 	$(SMOKE)/bin/python -m build --outdir $(SMOKE)/dist .
+	$(SMOKE)/bin/twine check --strict $(SMOKE)/dist/*
 	for archive in $(SMOKE)/dist/*; do \
 		$(PYTHON) -m venv --clear $(SMOKE)/empty && cp tests/smoke.py $(SMOKE)/empty && (cd $(SMOKE)/empty && \
 		bin/pip install --quiet --disable-pip-version-check $$archive && bin/python -W error smoke.py && \

@@ -11,25 +11,47 @@ from processes import run_python
 import ptne_env
 
 FOLDER = Path(__file__).parents[1] / "examples"
-EXAMPLES = sorted(FOLDER.glob("*.py"))
+EXAMPLES = sorted([*FOLDER.glob("*.py"), *FOLDER.glob("*.ipynb")])
 
 
 def test_readme_lists_every_example():
-    listed = re.findall(r"^\| \[(\w+\.py)\]\(\1\) \|", (FOLDER / "README.md").read_text("utf-8"), re.MULTILINE)
+    listed = re.findall(
+        r"^\| \[(\w+\.(?:py|ipynb))\]\(\1\) \|", (FOLDER / "README.md").read_text("utf-8"), re.MULTILINE
+    )
     assert sorted(listed) == [path.name for path in EXAMPLES]
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs_without_a_warning(example, tmp_path):
+def quick_copy(example, folder):
+    """A copy with fewer episodes and agent-steps; the test is skipped where a library is missing."""
     source = example.read_text("utf-8")
-    if "stable_baselines3" in source:
-        pytest.importorskip("stable_baselines3", reason="needs the extra 'sb3'")
-    source = re.sub(r"(?i)\b(episodes ?= ?)\d+", r"\g<1>2", source).replace("learn(150_000)", "learn(4_000)")
-    copy = tmp_path / example.name
+    for library in ("stable_baselines3", "tensorboard", "wandb"):
+        if library in source:
+            pytest.importorskip(library, reason=f"needs {library}")
+    source = re.sub(r"(?i)\b(episodes ?= ?)\d+", r"\g<1>2", source).replace("learn(150_000", "learn(4_000")
+    copy = folder / example.name
     copy.write_text(source, encoding="utf-8")
-    done = run_python("-W", "error", copy, folder=tmp_path)
+    return copy
+
+
+@pytest.mark.parametrize("example", [each for each in EXAMPLES if each.suffix == ".py"], ids=lambda path: path.stem)
+def test_example_runs_without_a_warning(example, tmp_path):
+    is_foreign = "wandb" in example.stem  # which writes to stderr, and warns
+    done = run_python(*["-W", "error"] * (not is_foreign), quick_copy(example, tmp_path), folder=tmp_path)
     assert done.stdout
-    assert done.stderr == ""
+    assert is_foreign or done.stderr == ""
+    assert ("log_to" in example.stem) == any(tmp_path.glob("runs/*/events.*"))
+
+
+def test_the_notebook_runs_to_its_picture_and_stores_no_output(tmp_path):
+    nbclient = pytest.importorskip("nbclient", reason="needs the extra 'test'")
+    import nbformat  # of nbclient
+
+    notebook = nbformat.read(quick_copy(FOLDER / "tour.ipynb", tmp_path), as_version=4)
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert not any(cell.outputs for cell in cells)
+    nbclient.NotebookClient(notebook, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    assert "my PPO" in cells[-2].outputs[0].text
+    assert "image/png" in cells[-1].outputs[0].data
 
 
 def test_in_one_file_is_the_library():

@@ -1,0 +1,20 @@
+"""Watch a training in Weights & Biases, through its callback for Stable-Baselines3.
+
+``rollout/ep_rew_mean`` are the digits that a player gains in an episode. Needs ``pip install tensorboard wandb``. The
+run is stored on this machine; ``wandb sync`` uploads it, or leave out ``mode="offline"``.
+
+Run it with: python examples/log_to_wandb.py
+"""
+
+import wandb
+from stable_baselines3 import PPO
+from wandb.integration.sb3 import WandbCallback
+
+from ptne_env.envs.sb3 import PlayerVecEnv
+from ptne_env.learn.training import defaults
+
+with wandb.init(project="ptne", mode="offline", sync_tensorboard=True) as run:
+    env = PlayerVecEnv("random-energy", num_envs=32, seed=0)
+    model = PPO("MlpPolicy", env, tensorboard_log="runs", seed=0, **defaults.PPO)
+    model.learn(150_000, callback=WandbCallback(), log_interval=1)
+    print(f"written: {run.dir}")
