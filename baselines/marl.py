@@ -11,8 +11,9 @@ A job is an algorithm with a setting on a track with a seed. The folder ``--out`
 checkpoints of the others, so the command can be stopped at any time, and goes on when it is given again. (BenchMARL's
 checkpoints lack the state of its optimisers, and a resumed job draws other games.)
 
-At the end it writes, from all finished jobs: ``marl.json`` in the format of marl-eval, and from it the page ``marl.md``
-and the picture ``marl.png`` (``--tables`` writes these two alone).
+At the end it writes all finished jobs into ``marl.json``, in the format of marl-eval, and from it the page ``marl.md``
+and the picture ``marl.png``. With ``--tables`` it trains nothing: it writes the jobs that are finished by then, and the
+page and the picture.
 """
 
 from __future__ import annotations
@@ -95,6 +96,9 @@ TUNING_SEED = 1000
 """Seed of the trials, none of which is in the table."""
 
 VALIDATION_GAMES = 20
+
+LOWEST = -0.5
+"""Digits below which the picture shows nothing."""
 
 Report = Callable[[int, Any], None]
 """Called with the agent-steps done and the policy as it is then."""
@@ -393,7 +397,8 @@ def page(data: Mapping[str, Any]) -> str:
         rows.append([label, *cells, "", "", "", ""])
     steps = next(curve(runs)[0][-1] for algorithms in tasks.values() for runs in algorithms.values())
     headings = ["algorithm", *tasks, "seeds", "trials", "seconds (of CPU)", ""]
-    return TEXT.format(steps=int(steps), table=publish.markdown(headings, rows), enough=ENOUGH_TRIALS, flat=FLAT)
+    table = publish.markdown(headings, rows)
+    return TEXT.format(steps=int(steps), table=table, enough=ENOUGH_TRIALS, flat=FLAT, lowest=LOWEST)
 
 
 TEXT = """# The field's algorithms
@@ -417,6 +422,8 @@ first lines say how to install the libraries. [marl.json](marl.json) holds all r
 - Seconds are the mean wall time of a training on one core that other work shared, and in brackets its processor time.
 
 ![Learning curves](marl.png)
+
+The picture shows nothing below {lowest} digits.
 """
 
 
@@ -433,11 +440,11 @@ def draw(data: Mapping[str, Any], path: Path) -> None:
                 number = [*LIBRARIES].index(name.removesuffix("-default"))
                 style = ":" if name.endswith("-default") else "-"
                 axes.plot(*curve(runs), style, color=COLOURS[number], label=name)
-            for style, colour, (law, value) in zip(("--", "-."), (FAINT, INK), lines(track).items(), strict=True):
-                axes.axhline(value, linestyle=style, color=colour, linewidth=1)
-                axes.annotate(law, (0, value), xytext=(0, 2), textcoords="offset points", color=colour, fontsize=7)
-            axes.set(title=track, ylabel="digits", xlabel="agent-steps")
-            axes.xaxis.set_major_formatter("{x:,.0f}")
+            laws = zip(("--", "-."), (FAINT, INK), ("the paper's law", "best law"), lines(track).values(), strict=True)
+            for style, colour, law, value in laws:
+                axes.axhline(value, linestyle=style, color=colour, linewidth=1, label=law)
+            axes.set(title=track, ylabel="digits", xlabel="agent-steps", ylim=(LOWEST, None))
+            axes.xaxis.set_major_formatter(lambda steps, _: f"{steps / 1000:g}k")
         for axes in panels[len(tasks) :]:
             axes.remove()
         handles = {
@@ -467,7 +474,7 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=ENOUGH_TRIALS, help="settings tried; with 1 the first is taken")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, default=HOME.parent / "runs" / "marl")
-    parser.add_argument("--tables", action="store_true", help="write the page and the picture of marl.json alone")
+    parser.add_argument("--tables", action="store_true", help="train nothing")
     given = parser.parse_args()
     if given.steps % UNIT:
         parser.error(f"--steps must be a multiple of {UNIT}")
@@ -488,7 +495,8 @@ def main() -> None:
             for track, algorithm in places
         ]
         carry_out(jobs, given.out, given.jobs)
-        write_atomically(DATA, json.dumps(collect(finished(given.out), given.steps), separators=(",", ":")) + "\n")
+    if found := finished(given.out):
+        write_atomically(DATA, json.dumps(collect(found, given.steps), separators=(",", ":")) + "\n")
     data = json.loads(DATA.read_text(encoding="utf-8"))
     write_atomically(PAGE, page(data))
     draw(data, PICTURE)

@@ -1,6 +1,7 @@
 """The published numbers: documents show those of results.csv, and three random ones are computed again."""
 
 import csv
+import json
 import random
 import sys
 from pathlib import Path
@@ -32,6 +33,8 @@ def test_every_table_of_the_documents_is_that_of_the_published_numbers():
         text = document.read_text(encoding="utf-8")
         assert text.count("<!-- table ") == text.count("<!-- end -->")
         assert publish.filled(text, found) == text, f"make publish writes {document.name} anew"
+    page = marl.page(json.loads(marl.DATA.read_text(encoding="utf-8")))
+    assert page == marl.PAGE.read_text(encoding="utf-8"), "baselines/marl.py --tables writes it anew"
 
 
 def job_of(row):
