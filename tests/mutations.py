@@ -138,8 +138,8 @@ MUTATIONS = (
     Mutation(
         "rate of a certificate",
         "theory/certificate.py",
-        "return decay_rate(matrices, topology, self.world.scenario.deadline)",
-        "return 2 * decay_rate(matrices, topology, self.world.scenario.deadline)",
+        "return decay_rate(loop.matrices,",
+        "return 2 * decay_rate(loop.matrices,",
         "theory/test_certificate.py",
     ),
 )

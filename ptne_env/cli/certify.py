@@ -14,8 +14,7 @@ from ptne_env.bench.report.terminal import show
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, console, json_text, say, write_json
-from ptne_env.evaluation import POLICIES, get_policy_spec
-from ptne_env.shared.parts import FactorySpec
+from ptne_env.evaluation import POLICIES
 
 
 @app.command(cls=Command)
@@ -42,20 +41,10 @@ def certify(
     options.trusted(options.foreign_names(scenario, law), trust=trust)
     chosen = find_scenario(scenario)
     with threadpool_limits(1):  # on matrices of this size several BLAS threads wait for each other
-        certificate = theory.certify(chosen, law=_law(law))
+        certificate = theory.certify(chosen, law=law)
     write_json(json, json_text(certificate.to_dict()))
     screen = console()
     for table in certificate_tables(certificate):
         screen.print(show(table, screen.width))
     if json is not None:
         say(f"Certificate written to {json}")
-
-
-def _law(name: str) -> FactorySpec:
-    """The spec of a law."""
-    chosen = get_policy_spec(name)
-    spec = chosen.policy
-    if not isinstance(spec, FactorySpec) or chosen.files:
-        laws = ", ".join(each for each in POLICIES if not POLICIES[each].files)
-        raise ValueError(f"{name!r} is no law: choose from {laws}, or a 'module:object'")
-    return spec

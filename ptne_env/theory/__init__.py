@@ -14,7 +14,6 @@ from ptne_env.theory.check_game import GameReport as GameReport
 from ptne_env.theory.check_game import check_game as check_game
 from ptne_env.theory.closed_loop import closed_loop_matrix as closed_loop_matrix
 from ptne_env.theory.closed_loop import decay_rate as decay_rate
-from ptne_env.theory.closed_loop import decay_rate_in_time as decay_rate_in_time
 from ptne_env.theory.closed_loop import gain_growth as gain_growth
 from ptne_env.theory.closed_loop import largest_stable_step as largest_stable_step
 from ptne_env.theory.closed_loop import law_matrix as law_matrix

@@ -4,29 +4,26 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
+from ptne_env.evaluation.entries import PolicySpec, get_policy_spec
 from ptne_env.laws import Law, Static
 from ptne_env.perception.encoder import make_encoder
-from ptne_env.perception.observation import Interface
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.theory.assumptions import AssumptionCheck, check_assumptions
-from ptne_env.theory.closed_loop import NoClosedLoopError, decay_rate, decay_rate_in_time, gain_growth
+from ptne_env.theory.closed_loop import LoopClock, NoClosedLoopError, decay_rate, gain_growth
 from ptne_env.theory.conditions import Condition, condition, problem_constants
-from ptne_env.theory.sampled import LoopClock, SampledLoop, distance, sampled_loop, start_error
+from ptne_env.theory.sampled import SampledLoop, distance, sampled_loop, start_error
 from ptne_env.world import distances
 from ptne_env.world.channel import Chain
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import RANGE_LIMIT, SHORTFALL_WARNING, World
-
-LawSource: TypeAlias = FactorySpec | str | Callable[..., Law] | Law
-"""A law, or what builds one from a layout: a spec, its target, or a callable such as the law's class."""
 
 _MOST_DIGITS = 308.0
 """Digits are clipped to ± this number, so that a certificate holds no infinity."""
@@ -87,19 +84,20 @@ class Certificate:
         return data
 
 
-def certify(scenario: Scenario, law: LawSource = Static) -> Certificate:
+def certify(scenario: Scenario, law: str | FactorySpec | PolicySpec | type[Law] = Static) -> Certificate:
     """What theory predicts about ``law`` on ``scenario``.
 
     Args:
         scenario: the experiment; a random start, topology or game contributes one draw, the first two with seed 0.
         law: a law's class (the static law with κ = 2 if left out), a spec such as
-            ``FactorySpec.of("law:grounded", kappa=4.0)`` or its target, a :class:`~ptne_env.PolicySpec`, or the law
-            itself. Numbers of the closed loop need a law that is linear in gradient and differences, possibly with
-            gains that adapt.
+            ``FactorySpec.of("law:grounded", kappa=4.0)``, or whatever
+            :func:`~ptne_env.evaluation.get_policy_spec` takes. Numbers of the closed loop need a law that is linear in
+            gradient and differences, possibly with gains that adapt.
 
     Raises:
         TypeError: when ``scenario`` is no :class:`~ptne_env.world.scenario.Scenario`, such as its name.
         ValueError: when ``law`` does not build a law that can act on the scenario.
+        PolicyError: when building it fails.
     """
     if not isinstance(scenario, Scenario):
         raise TypeError(
@@ -110,7 +108,7 @@ def certify(scenario: Scenario, law: LawSource = Static) -> Certificate:
     built, constants = build_law(law, world), problem_constants(world)
     certificate = Certificate(
         scenario=scenario.name,
-        law=_describe(law),
+        law=_describe(_spec(law)),
         assumptions=check_assumptions(world, constants),
         condition=condition(built, constants),
         shortfall=world.clock.shortfall,
@@ -134,37 +132,28 @@ def certify(scenario: Scenario, law: LawSource = Static) -> Certificate:
     )
 
 
-def build_law(law: LawSource, world: World) -> Law:
-    """The law, built for the layout of ``world`` under the law's own interface.
+def build_law(law: str | FactorySpec | PolicySpec | type[Law], world: World) -> Law:
+    """The law, built for the layout of ``world`` under its own interface; named as for :func:`certify`.
 
     Raises:
         ValueError: when the law cannot act in the world, or something else than a law is built.
     """
-    if isinstance(law, Law):
-        if law.layout != make_encoder(world, law.layout.interface).layout:
-            raise ValueError(f"this {type(law).__name__} was built for the layout of another scenario: give its class")
-        return law
-    source = _source(law)
-    target = source.resolve() if isinstance(source, FactorySpec) else source
-    layout = make_encoder(world, getattr(target, "interface", Interface("physical"))).layout
-    built = source.build(layout=layout) if isinstance(source, FactorySpec) else source(layout)
+    spec = _spec(law)
+    built = spec.build(make_encoder(world, spec.interface).layout)
     if not isinstance(built, Law):
-        raise ValueError(f"{law!r} built a {type(built).__name__}; the theory is about a ptne_env.laws.Law")
+        raise ValueError(f"{spec.name!r} is no law, but a {type(built).__name__}; the theory is about laws")
     return built
 
 
-def _source(law: LawSource) -> Any:
-    """A spec or a callable."""
-    source = getattr(law, "policy", law)  # of a PolicySpec
-    return FactorySpec.of(source) if isinstance(source, str) else source
+def _spec(law: str | FactorySpec | PolicySpec | type[Law]) -> PolicySpec:
+    return PolicySpec("law", law) if isinstance(law, FactorySpec) else get_policy_spec(law)
 
 
-def _describe(law: LawSource) -> str:
-    source = _source(law)
-    if not isinstance(source, FactorySpec):
-        return str(getattr(source, "__name__", type(source).__name__))
-    arguments = ", ".join(f"{name}={value}" for name, value in source.to_dict()["arguments"].items())
-    return f"{source.target.rpartition(':')[2]}({arguments})"
+def _describe(spec: PolicySpec) -> str:
+    if not isinstance(spec.policy, FactorySpec):
+        return spec.name
+    arguments = ", ".join(f"{name}={value}" for name, value in spec.policy.to_dict()["arguments"].items())
+    return f"{spec.policy.target.rpartition(':')[2]}({arguments})"
 
 
 def _faults(world: World) -> list[str]:
@@ -193,12 +182,10 @@ class _Prediction:
 
     @property
     def rate(self) -> float | None:
-        topology, matrices = self.world.topology, self.loop.matrices
+        loop, topology = self.loop, self.world.topology
         if topology.is_random:
             return None
-        if self.loop.clock == "physical":
-            return decay_rate_in_time(matrices, topology)
-        return decay_rate(matrices, topology, self.world.scenario.deadline)
+        return decay_rate(loop.matrices, topology, self.world.scenario.deadline, loop.clock)
 
     @property
     def digits(self) -> float | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy import linalg
@@ -17,11 +17,14 @@ from scipy import linalg
 from ptne_env.games import Game
 from ptne_env.laws import Law
 from ptne_env.perception.observation import Observation, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_non_negative
+from ptne_env.shared.arrays import FloatArray, IntArray, require_non_negative
 from ptne_env.theory.constants import ZERO, jacobian_at_equilibrium
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.graphs import Graph
 from ptne_env.world.switching import SwitchingTopology
+
+LoopClock: TypeAlias = Literal["effective", "physical"]
+"""The time in which a law's own loop is dx = −M x: τ, or t for a law without the time gain."""
 
 
 class NoClosedLoopError(ValueError):
@@ -37,48 +40,41 @@ def closed_loop_matrix(game: Game, graph: Graph, kappa: float) -> FloatArray:
         kappa: κ ≥ 0. For the adaptive law at frozen gains, use a graph with the weights κ_ij a_ij and κ = 1.
 
     Returns:
-        Shape (Nn, Nn), less the entries that are not in :func:`free_entries`.
+        Shape (Nn, Nn), less the entries of strategies that bounds hold at x*.
 
     Raises:
         ValueError: when κ < 0 or the graph has another number of players.
     """
     require_non_negative("kappa", kappa)
-    _require_players(game, graph)
+    if graph.num_players != game.num_players:
+        raise ValueError(f"the game has {game.num_players} players and the graph {graph.num_players}")
     n, jacobian = game.dimension, jacobian_at_equilibrium(game)
     matrix = np.asarray(kappa * np.kron(graph.laplacian, np.eye(n)))
     for component, owner in enumerate(game.owners):
         matrix[owner * n + component, owner * n : (owner + 1) * n] += jacobian[component]
-    return _restricted(matrix, free_entries(game))
+    return _restricted(matrix, game)
 
 
-def free_entries(game: Game) -> BoolArray:
-    """Which entries of the stacking move near x*, shape (Nn,): all but the strategies that bounds hold there."""
-    own = game.owners == np.arange(game.num_players)[:, None]
-    return ~(own & game.held_at_equilibrium[:, 0]).ravel()
-
-
-def law_matrix(law: Law, game: Game, graph: Graph, memory: Any = None) -> FloatArray:
+def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
     """M of any law that is linear in gradient and differences, measured on the law itself: u = −M (x − 1⊗x*).
 
     Each player observes unit errors of its own estimate, and unit messages, at x*; its inputs are the columns of M. So
     M is that of the code that acts in the environment, and a new law needs nothing added here.
 
     Args:
-        law: built for the layout of an environment with these players, whose union graph holds ``graph``.
+        law: built for the layout of an environment with these players, whose union graph holds ``graph``; its gains,
+            if it has any, are those of the start.
         game: the game; its F is linearised at x* unless it is affine.
         graph: the active graph.
-        memory: the law's, one row per player; its initial memory if left out. For the adaptive law: the frozen κ_ij.
 
     Returns:
-        Shape (Nn, Nn), less the entries that are not in :func:`free_entries`.
+        Shape (Nn, Nn), less the entries of strategies that bounds hold at x*.
 
     Raises:
         NoClosedLoopError: for a law that is not linear in gradient and differences, reads more than these and its own
             estimate, or remembers more than gains.
-        ValueError: when players do not match.
     """
-    _require_players(game, graph)
-    _require_loop(law, game)
+    _require_loop(law)
     layout, name = law.layout, type(law).__name__
     n, players, slots = game.dimension, game.num_players, layout.slots
     neighbours = np.array(layout.neighbours)  # (N, D)
@@ -108,7 +104,7 @@ def law_matrix(law: Law, game: Game, graph: Graph, memory: Any = None) -> FloatA
         dt=np.ones((player.size, 1)),
         own_estimate=error.reshape(-1, n) + game.nash_equilibrium,
     )
-    inputs = inputs_of(law, observation, memory).reshape(players, kinds, n)
+    inputs = inputs_of(law, observation).reshape(players, kinds, n)
     mixed = np.tensordot(inputs[:, :-2], mixture, axes=(1, 0))
     scale = 1e-9 * (1 + np.abs(mixed).max())
     if np.abs(inputs[:, -1]).max() > scale or np.abs(mixed - inputs[:, -2]).max() > scale:
@@ -119,21 +115,18 @@ def law_matrix(law: Law, game: Game, graph: Graph, memory: Any = None) -> FloatA
         matrix[i, :, i] = -inputs[i, :n].T
         for slot in np.flatnonzero(live[i]):
             matrix[i, :, neighbours[i, slot]] -= inputs[i, n + slot * n : n + (slot + 1) * n].T
-    return _restricted(matrix.reshape(players * n, -1), free_entries(game))
+    return _restricted(matrix.reshape(players * n, -1), game)
 
 
-def _require_loop(law: Law, game: Game) -> None:
-    """Check that a law was built for the game's players, and reads and remembers no more than a loop has."""
-    layout, name = law.layout, type(law).__name__
-    if layout.num_players != game.num_players or layout.dimension != game.dimension:
-        raise ValueError(f"{name} was built for a game of other dimensions; build it for this scenario's layout")
-    unknown = sorted(set(law.needs) - {"own_estimate"})
+def _require_loop(law: Law) -> None:
+    """Check that a law reads and remembers no more than a loop has."""
+    name, unknown = type(law).__name__, sorted(set(law.needs) - {"own_estimate"})
     if law.needs_full_information or unknown:
         raise NoClosedLoopError(
             f"{name} is an oracle or reads {', '.join(unknown) or 'everything'}; closed loops are of laws that act on "
             "gradient and differences alone"
         )
-    if law.has_memory and law.gains(law.initial_memory(game.num_players)) is None:
+    if law.has_memory and law.gains(law.initial_memory(law.layout.num_players)) is None:
         raise NoClosedLoopError(f"{name} remembers more than gains, so it has no closed-loop matrix")
 
 
@@ -144,11 +137,9 @@ def blank_observation(layout: ObservationLayout, player: IntArray) -> Observatio
     return layout.read(arrays)
 
 
-def inputs_of(law: Law, observation: Observation, memory: Any = None) -> FloatArray:
-    """The inputs u^i of a law, shape (R, n), at a memory with one row per player (the initial memory if left out)."""
-    players = observation.player
-    rows = law.initial_memory(len(players)) if memory is None else np.asarray(memory)[players]
-    return law.inputs(observation, rows)[0]
+def inputs_of(law: Law, observation: Observation) -> FloatArray:
+    """The inputs u^i of a law with its initial memory, shape (R, n)."""
+    return law.inputs(observation, law.initial_memory(len(observation.player)))[0]
 
 
 def spectral_abscissa(matrix: FloatArray) -> float:
@@ -157,37 +148,29 @@ def spectral_abscissa(matrix: FloatArray) -> float:
     return 0.0 if abs(smallest) <= ZERO * np.linalg.norm(matrix) else smallest
 
 
-def decay_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology, deadline: float) -> float:
-    """The rate r with which the error of dx/dτ = −M x decays like e^{−r s} as t → T.
+def decay_rate(
+    matrices: Sequence[FloatArray], topology: SwitchingTopology, deadline: float, clock: LoopClock = "effective"
+) -> float:
+    """The rate r with which the error of dx = −M x decays: like e^{−r s} as t → T, or like e^{−r t} on the clock t.
 
-    A fixed graph gives the spectral abscissa of M. A periodic topology on the transformed clock gives the Floquet rate
-    −ln ρ(Π e^{−M_m Δ_m})/period, since dτ/ds → 1. One on the physical clock switches finitely often before T, so only
-    its last graph counts, and the rate is 0 when that graph is disconnected (docs/errata.md, 2).
+    A fixed graph gives the spectral abscissa of M. A periodic topology on the clock of the loop, which is the
+    transformed one for a loop in τ since dτ/ds → 1, gives the Floquet rate −ln ρ(Π e^{−M_m Δ_m})/period. Of one on the
+    physical clock a loop in τ meets finitely many switches before T, so only its last graph counts, and the rate is 0
+    when that graph is disconnected (docs/errata.md, 2). Of one on the transformed clock a loop in t meets ever faster
+    switches, which gives the spectral abscissa of the mean of M.
 
     Args:
         matrices: M of every mode of the topology.
         topology: not random.
         deadline: T in seconds.
-    """
-    if topology.is_fixed or topology.clock == "physical":
-        return spectral_abscissa(matrices[last_modes(topology, deadline)[0]])
-    return _floquet_rate(matrices, topology)
-
-
-def decay_rate_in_time(matrices: Sequence[FloatArray], topology: SwitchingTopology) -> float:
-    """The rate r with which the error of dx/dt = −M x, a law without the time gain, decays like e^{−r t}.
-
-    A fixed graph gives the spectral abscissa, a periodic topology on the physical clock the Floquet rate, and one on
-    the transformed clock, which switches ever faster in t, the spectral abscissa of the mean of M.
+        clock: of the loop.
     """
     if topology.is_fixed:
         return spectral_abscissa(matrices[0])
-    if topology.clock == "physical":
-        return _floquet_rate(matrices, topology)
-    return spectral_abscissa(np.average(matrices, axis=0, weights=topology.dwells))
-
-
-def _floquet_rate(matrices: Sequence[FloatArray], topology: SwitchingTopology) -> float:
+    if clock == "effective" and topology.clock == "physical":
+        return spectral_abscissa(matrices[last_modes(topology, deadline)[0]])
+    if clock == "physical" and topology.clock == "transformed":
+        return spectral_abscissa(np.average(matrices, axis=0, weights=topology.dwells))
     monodromy = np.eye(len(matrices[0]))
     for matrix, dwell in zip(matrices, topology.dwells, strict=True):
         monodromy = linalg.expm(-matrix * dwell) @ monodromy
@@ -229,10 +212,8 @@ def last_modes(topology: SwitchingTopology, deadline: float) -> Sequence[int]:
     return (int(topology.schedule((last_switch + deadline) / 2).modes),)
 
 
-def _restricted(matrix: FloatArray, free: BoolArray) -> FloatArray:
+def _restricted(matrix: FloatArray, game: Game) -> FloatArray:
+    """M without the entries that do not move near x*: strategies that bounds hold there."""
+    own = game.owners == np.arange(game.num_players)[:, None]
+    free = ~(own & game.held_at_equilibrium[:, 0]).ravel()
     return matrix if free.all() else np.asarray(matrix[np.ix_(free, free)])
-
-
-def _require_players(game: Game, graph: Graph) -> None:
-    if graph.num_players != game.num_players:
-        raise ValueError(f"the game has {game.num_players} players and the graph {graph.num_players}")

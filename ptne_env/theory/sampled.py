@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from ptne_env.games import Game
 from ptne_env.laws import Law
 from ptne_env.shared.arrays import FloatArray, IntArray
 from ptne_env.theory.closed_loop import (
+    LoopClock,
     NoClosedLoopError,
     blank_observation,
     inputs_of,
@@ -23,8 +23,6 @@ from ptne_env.theory.closed_loop import (
     law_matrix,
 )
 from ptne_env.world.world import World
-
-LoopClock: TypeAlias = Literal["effective", "physical"]
 
 _ROUNDINGS = 4
 """Draws of the rounding of inputs."""
@@ -41,7 +39,7 @@ class SampledLoop:
         matrices: M of every mode of the topology, in order, shape (Nn, Nn) each.
         modes: the mode that acts in each step, shape (K,); of a random topology one draw, with seed 0.
         steps: h_k, by which each step advances, shape (K,): Θ_k, or Δt_k for a law without the time gain.
-        clock: ``"effective"`` or ``"physical"``, the time in which the law's own loop is dx = −M x.
+        clock: ``"effective"`` or ``"physical"``.
     """
 
     matrices: tuple[FloatArray, ...]
@@ -104,26 +102,24 @@ class SampledLoop:
         return moved.T
 
 
-def sampled_loop(world: World, law: Law, memory: Any = None) -> SampledLoop:
+def sampled_loop(world: World, law: Law) -> SampledLoop:
     """The steps that ``law`` takes in ``world``; in a world of random games, on its typical game.
 
     Args:
         world: the scenario, built.
         law: built for the world's layout; see :func:`~ptne_env.theory.closed_loop.law_matrix` for the laws that have a
             loop.
-        memory: the law's, frozen; one row per player.
 
     Raises:
         NoClosedLoopError: as :func:`~ptne_env.theory.closed_loop.law_matrix`, and for a law that reads the length of
             its step for more than to undo the time gain.
-        ValueError: as :func:`~ptne_env.theory.closed_loop.law_matrix`.
     """
     clock, topology = world.clock, world.topology
-    matrices = tuple(law_matrix(law, world.game, graph, memory) for graph in topology.graphs)
+    matrices = tuple(law_matrix(law, world.game, graph) for graph in topology.graphs)
     theta, dt = clock.theta[: clock.steps], clock.dt[: clock.steps]
     # The first and the last step, a step that is longer in τ, and one that is longer in t.
     thetas, dts = np.array([theta[0], theta[-1], 2 * theta[0], theta[0]]), np.array([dt[0], dt[-1], dt[0], 2 * dt[0]])
-    responses = _responses(law, thetas, dts, memory)
+    responses = _responses(law, thetas, dts)
     instants = clock.topology_times[topology.clock][: clock.steps]
     modes = topology.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
     if _is_constant(responses):
@@ -133,7 +129,7 @@ def sampled_loop(world: World, law: Law, memory: Any = None) -> SampledLoop:
     raise NoClosedLoopError(f"{type(law).__name__} reads the length of its step, so it has another loop in every step")
 
 
-def _responses(law: Law, theta: FloatArray, dt: FloatArray, memory: Any) -> FloatArray:
+def _responses(law: Law, theta: FloatArray, dt: FloatArray) -> FloatArray:
     """Inputs of all players for the same gradients and differences in steps of other lengths, one row per step."""
     layout, generator = law.layout, np.random.default_rng(0)
     players, steps = layout.num_players, len(theta)
@@ -150,7 +146,7 @@ def _responses(law: Law, theta: FloatArray, dt: FloatArray, memory: Any) -> Floa
         theta=np.repeat(theta, players)[:, None],
         dt=np.repeat(dt, players)[:, None],
     )
-    return inputs_of(law, observation, memory).reshape(steps, -1)
+    return inputs_of(law, observation).reshape(steps, -1)
 
 
 def _is_constant(responses: FloatArray) -> bool:

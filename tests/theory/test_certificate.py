@@ -12,7 +12,7 @@ from affine_games import SOAK, random_affine
 from sample_laws import Damped, Sign, condition_on
 from worlds import fixed_part, world_and_encoder
 
-from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, parallel_env, theory
+from ptne_env import CATALOGUE, FactorySpec, Interface, get_scenario, laws, theory
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.perception.encoder import make_encoder
@@ -126,10 +126,12 @@ def test_digits_that_rounding_decides_are_not_exact():
 
 
 def test_a_law_in_scaled_units_has_no_exact_digits():
+    class Scaled(laws.Static):
+        interface = Interface("scaled")
+
     scenario = get_scenario("energy", start="paper", steps=800)
-    law = laws.Static(parallel_env(scenario).layout)
     assert theory.certify(scenario).digits_are_exact
-    certificate = theory.certify(scenario, law)
+    certificate = theory.certify(scenario, Scaled)
     assert not certificate.digits_are_exact
     assert any("acts through 'scaled'" in note for note in certificate.notes)
 
@@ -271,10 +273,6 @@ def test_a_diverging_loop_overflows_nowhere():
 def test_a_law_is_named_in_many_ways(law):
     scenario = get_scenario("energy")
     assert theory.certify(scenario, law).rate == theory.certify(scenario).rate
-    built = theory.build_law(law, World(scenario))
-    assert theory.certify(scenario, built).digits == theory.certify(scenario).digits
-    with pytest.raises(ValueError, match="built for the layout of another scenario"):
-        theory.certify(get_scenario("oligopoly"), built)
 
 
 def test_a_policy_that_is_no_law_and_a_scenario_that_is_none_are_refused():

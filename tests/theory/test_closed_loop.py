@@ -55,16 +55,6 @@ def test_measured_matrix_of_the_static_law_is_the_closed_loop_matrix(scenario):
     assert len(measured) == world.game.num_players * world.game.dimension - world.game.held_at_equilibrium.sum()
 
 
-def test_measured_matrix_at_frozen_gains_is_that_of_the_weighted_graph():
-    world, law = build("energy", laws.Adaptive)
-    graph, neighbours = world.topology.graphs[0], np.array(law.layout.neighbours)
-    gains = np.random.default_rng(1).uniform(0.5, 2.0, graph.adjacency.shape)
-    gains = gains + gains.T
-    measured = theory.law_matrix(law, world.game, graph, gains[np.arange(5)[:, None], neighbours])
-    expected = theory.closed_loop_matrix(world.game, Graph(gains * graph.adjacency), 1.0)
-    np.testing.assert_allclose(measured, expected, atol=1e-12)
-
-
 def test_laws_without_a_closed_loop_give_the_reason():
     world, sign = build("energy", Sign)
     with pytest.raises(NoClosedLoopError, match="Sign is not linear"):
@@ -77,8 +67,8 @@ def matrices(topology, kappa=2.0):
     return [theory.closed_loop_matrix(EnergyGame(), graph, kappa) for graph in topology.graphs]
 
 
-def rate_of_the_static_law(topology, kappa=2.0, deadline=1.2):
-    return theory.decay_rate(matrices(topology, kappa), topology, deadline)
+def rate_of_the_static_law(topology, kappa=2.0, deadline=1.2, clock="effective"):
+    return theory.decay_rate(matrices(topology, kappa), topology, deadline, clock)
 
 
 def test_rate_on_the_cycle_is_that_of_the_matrix_exponential():
@@ -110,10 +100,10 @@ def test_rate_in_s_is_the_floquet_rate():
 
 def test_without_the_time_gain_the_clocks_change_places():
     physical, transformed = paper_topology(0.25, "physical"), paper_topology(0.25, "transformed")
-    assert theory.decay_rate_in_time(matrices(physical), physical) == rate_of_the_static_law(transformed)
+    assert rate_of_the_static_law(physical, clock="physical") == rate_of_the_static_law(transformed)
     mean = Graph(np.mean([graph.adjacency for graph in transformed.graphs], axis=0))
-    expected = rate_of_the_static_law(fixed(mean))
-    assert theory.decay_rate_in_time(matrices(transformed), transformed) == pytest.approx(expected)
+    found = rate_of_the_static_law(transformed, clock="physical")
+    assert found == pytest.approx(rate_of_the_static_law(fixed(mean)))
 
 
 def test_largest_stable_step_separates_contraction_from_growth():
