@@ -55,7 +55,7 @@ def paper_page(reproduction: Reproduction, command: str) -> str:
         command: that repeats it.
 
     Raises:
-        ImportError: when Jinja or Plotly is missing, naming the extra to install.
+        ImportError: when Jinja is missing, naming the extra to install.
     """
     table, claims, errata = paper_tables(reproduction)
     failing = [claim.name for claim in reproduction.claims if claim.verdict == "fails"]
