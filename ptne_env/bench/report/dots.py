@@ -9,6 +9,10 @@ from dataclasses import dataclass
 from ptne_env.bench.report.tables import decimals, leaders, overall
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.statistics import Summary
+from ptne_env.world import distances
+
+MOST = round(-math.log10(distances.FLOOR))
+"""The most digits; an interval that ends above is cut there."""
 
 
 @dataclass(frozen=True)
@@ -29,12 +33,12 @@ class DotPlot:
         values = [value for row in self.rows.values() for each in row.values() for value in (each.low, each.high)]
         low, high = math.floor(min([0.0, *filter(None, values)])), math.ceil(max([1.0, *filter(None, values)]))
         step = 1 if high - low <= 8 else 2
-        return list(range(step * math.floor(low / step), high + step, step))
+        return list(range(step * math.floor(low / step), min(MOST, high + step - 1) + 1, step))
 
     def place(self, value: float) -> str:
         """The place of a value in percent of the width."""
         first, last = self.ticks[0], self.ticks[-1]
-        return f"{100 * (value - first) / (last - first):.2f}"
+        return f"{100 * (min(value, last) - first) / (last - first):.2f}"
 
     def words(self, name: str, found: Summary) -> str:
         """A dot in words."""

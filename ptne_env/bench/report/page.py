@@ -19,7 +19,7 @@ from ptne_env.bench.report.tables import Table
 from ptne_env.bench.report.traces import Scene
 from ptne_env.shared.arrays import FloatArray
 
-_SIGNIFICANT = 3
+_SIGNIFICANT = 2
 """Digits of errors; strategies and estimates have steps of a hundredth of their range at the start, or finer."""
 
 
@@ -118,7 +118,7 @@ def _drawn(scene: Scene) -> dict[str, Any]:
     return {
         "t": scene.t.round(6).tolist(),
         "s": scene.s.round(6).tolist(),
-        "gain": _rounded(scene.gain),
+        "gain": _rounded(scene.gain, 3),
         "deadline": scene.deadline_frame,
         "players": int(scene.owners[-1]) + 1,
         "owners": scene.owners.tolist(),
@@ -128,7 +128,7 @@ def _drawn(scene: Scene) -> dict[str, Any]:
         "traces": {
             name: {
                 "error": _rounded(trace.error),
-                "errors": [_rounded(each) for each in (trace.errors if scene.episodes > 1 else trace.errors[1:2])],
+                "errors": _rounded(trace.errors if scene.episodes > 1 else trace.errors[1:2]),
                 "strategies": _fixed(trace.strategies, decimals),
                 "estimates": [] if trace.estimates is None else _fixed(trace.estimates, decimals),
                 "inputs": _fixed(trace.inputs, 2),
