@@ -125,7 +125,7 @@ def _with_files(policy: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     Raises:
         ValueError: when a file is not the one that was run.
     """
-    here = {file_hash(file): str(file) for file in folder.rglob("*.onnx")}
+    here = {file_hash(file): str(file) for file in folder.rglob("*") if file.suffix in (".onnx", ".npz")}
     seeds = []
     for seed in policy["training_seeds"]:
         if seed.get("target") == LOADER and seed["sha256"] in here:

@@ -58,10 +58,10 @@ def compare(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="A policy by name, an .onnx file, a Stable-Baselines3 .zip, 'module:object' that is called with the "
-            "layout and returns something with predict(), or 'name=pattern' for the files of several training seeds; "
-            "separate several by commas, or repeat. If left out: every policy that 'ptne list' shows; on scenarios, "
-            "the paper's laws, references, the strongest laws and learned policies.",
+            help="A policy by name, an .onnx or .npz file, a Stable-Baselines3 .zip, 'module:object' that is called "
+            "with the layout and returns something with predict(), or 'name=pattern' for the files of several training "
+            "seeds; separate several by commas, or repeat. If left out: every policy that 'ptne list' shows; on "
+            "scenarios, the paper's laws, references, the strongest laws and learned policies.",
             autocompletion=_complete_policy,
         ),
     ] = None,

@@ -26,7 +26,7 @@ World: TypeAlias = Annotated[
 Policy: TypeAlias = Annotated[
     str,
     typer.Argument(
-        help="A policy by name or .onnx file; a Stable-Baselines3 .zip and a 'module:object' run their own code.",
+        help="A policy by name, .onnx or .npz file; a Stable-Baselines3 .zip and a 'module:object' run own code.",
         autocompletion=lambda: list(POLICIES),
     ),
 ]
@@ -62,7 +62,7 @@ def foreign_names(*names: str | None) -> list[str]:
         target = name.partition("/")[0]
         if path.endswith(".zip"):
             found.append(path)
-        elif ":" in target and not path.endswith(".onnx") and not is_part(target):
+        elif ":" in target and not path.endswith((".onnx", ".npz")) and not is_part(target):
             found.append(target)
     return found
 

@@ -1,12 +1,14 @@
-"""``ptne train``: training a policy with PPO."""
+"""``ptne train``: training a policy with PPO, or through the world."""
 
 from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
@@ -17,8 +19,10 @@ from ptne_env.cli.console import check_writable, json_text, progress, say, write
 from ptne_env.learn import training
 
 if TYPE_CHECKING:
-    from ptne_env.learn.training.configuration import Configuration
-    from ptne_env.learn.training.ppo import Summary
+    from ptne_env.learn.training.configuration import Configuration, Summary
+    from ptne_env.learn.training.through_world import Settings
+
+    Run: TypeAlias = Configuration | Settings
 
 
 @app.command(cls=Command)
@@ -47,12 +51,25 @@ def train(
             "DIR/seed-SEED.",
         ),
     ] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="Agent-steps; the configuration's own if left out.")] = None,
+    steps: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Agent-steps, through the world updates of the weights; the configuration's own if left out."
+        ),
+    ] = None,
     json: options.Json = None,
     *,
+    through_world: Annotated[
+        bool,
+        typer.Option(
+            "--through-world",
+            help="Train a recurrent policy by gradients through the world on JAX, in place of PPO; CONFIGURATION is a "
+            "scenario or track.",
+        ),
+    ] = False,
     trust: options.Trust = False,
 ) -> None:
-    """Train a policy with PPO, and export it as policy.onnx.
+    """Train a policy with PPO, and export it as policy.onnx; or through the world, as policy.npz.
 
     Draws the learning curve, learning-curve.png, beside the digits of the paper's law and of the best law, and prints
     the command that compares the policy.
@@ -60,45 +77,55 @@ def train(
     An interrupted run goes on from its last checkpoint when the same command is given again. It ends with another
     policy than an uninterrupted one.
     """
+    extra = "jax" if through_world else "sb3"
     try:
-        from ptne_env.learn.training.configuration import Configuration
+        from ptne_env.learn.training.configuration import Configuration, is_finished
         from ptne_env.learn.training.curve import draw, yardsticks
-        from ptne_env.learn.training.ppo import is_finished
-    except ImportError as error:
-        raise ImportError('training needs an extra: pip install "ptne-env[sb3]"') from error
 
-    given = {"seed": seed, "steps": steps}
+        trainer = import_module(f"ptne_env.learn.training.{'through_world' if through_world else 'ppo'}")
+    except ImportError as error:
+        raise ImportError(f'training needs an extra: pip install "ptne-env[{extra}]"') from error
+
+    given = {"seed": seed, "updates" if through_world else "steps": steps}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    chosen = Configuration.from_toml(configuration, **changes)
+    chosen: Run
+    if through_world:
+        chosen = trainer.Settings(configuration, **changes)
+    else:
+        chosen = Configuration.from_toml(configuration, **changes)
     options.trusted(options.foreign_names(chosen.scenario), trust=trust)
     runs = {out: chosen}
     if seeds is not None:
         series = [replace(chosen, seed=chosen.seed + index) for index in range(seeds)]
         runs = {out / f"seed-{each.seed}": each for each in series}
     picture = out / "learning-curve.png"
-    check_writable(json, picture, *(folder / "policy.onnx" for folder in runs))
-    ended = [folder for folder, each in runs.items() if is_finished(each, folder)]
-    summaries = _train(runs)
+    check_writable(json, picture, *(folder / trainer.POLICY for folder in runs))
+    ended = [folder for folder, each in runs.items() if is_finished(each, folder, trainer.POLICY)]
+    summaries = _train(runs, trainer)
     found = [asdict(summary) for summary in summaries.values()]
     write_json(json, json_text(found[0] if seeds is None else found))
     for folder, summary in summaries.items():
-        _say_result(folder, summary, was_finished=folder in ended)
+        _say_result(folder / trainer.POLICY, summary, was_finished=folder in ended)
     reached = [summary.digits for summary in summaries.values()]
     if seeds is not None:
         mean = sum(reached) / len(reached)
         say(f"Mean of {seeds} seeds: {mean:.2f} digits, from {min(reached):.2f} to {max(reached):.2f}")
     names = {f"seed {each.seed}, {summaries[folder].digits:.2f} digits": folder for folder, each in runs.items()}
     title = f"Training of {configuration.removesuffix('.toml')}"
-    draw(names, picture, title=title, steps=chosen.steps, lines=yardsticks(find_scenario(chosen.scenario)))
+    draw(
+        names,
+        picture,
+        title=title,
+        steps=max(each.agent_steps for each in summaries.values()),
+        lines=yardsticks(find_scenario(chosen.scenario)),
+    )
     say(f"Learning curve written to {picture}")
-    trained = f"trained={out}/seed-*/policy.onnx" if seeds is not None else str(out / "policy.onnx")
+    trained = f"trained={out}/seed-*/{trainer.POLICY}" if seeds is not None else str(out / trainer.POLICY)
     say(f"To compare:  ptne compare {chosen.scenario} --policy {shlex.quote(f'static,{trained}')}")
 
 
-def _train(runs: Mapping[Path, Configuration]) -> dict[Path, Summary]:
+def _train(runs: Mapping[Path, Run], trainer: ModuleType) -> dict[Path, Summary]:
     """Train one run after the other, with a progress bar for all of them; their summaries."""
-    from ptne_env.learn.training import ppo
-
     summaries: dict[Path, Summary] = {}
     with progress("training") as advance:
         for folder, configuration in runs.items():
@@ -108,18 +135,19 @@ def _train(runs: Mapping[Path, Configuration]) -> dict[Path, Summary]:
                 now = f"{place}, {digits:.2f} digits" if digits > float("-inf") else place
                 advance(len(summaries) * total + min(done, total), len(runs) * total, now)
 
-            summaries[folder] = ppo.train(configuration, folder, show)
+            summaries[folder] = trainer.train(configuration, folder, show)
     return summaries
 
 
-def _say_result(folder: Path, summary: Summary, *, was_finished: bool) -> None:
-    digits = f"{summary.digits:.2f} digits on the validation episodes"
+def _say_result(policy: Path, summary: Summary, *, was_finished: bool) -> None:
+    digits = f"{summary.digits:.2f} digits on the {'validation' if policy.suffix == '.onnx' else 'last'} episodes"
     if was_finished:
-        say(f"This run has ended before, with {digits}; policy.onnx is in {folder}")
+        say(f"This run has ended before, with {digits}; {policy.name} is in {policy.parent}")
         return
-    say(f"{digits}, after {summary.seconds:.0f} s; policy.onnx written to {folder}")
+    say(f"{digits}, after {summary.seconds:.0f} s; {policy.name} written to {policy.parent}")
     if summary.resumed_at:
+        unit = "agent-steps" if policy.suffix == ".onnx" else "updates"
         say(
-            f"The run was resumed at {summary.resumed_at} agent-steps: the policy is not that of an uninterrupted run, "
+            f"The run was resumed at {summary.resumed_at} {unit}: the policy is not that of an uninterrupted run, "
             "which can be repeated"
         )

@@ -23,6 +23,9 @@ PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], P
 ARCHIVE = "ptne_env.learn.archive:load_archive"
 """Target of the policies in Stable-Baselines3 archives. It is no part: loading one executes code in the file."""
 
+_ENDINGS = (".onnx", ".npz")
+"""Endings of files that are data."""
+
 _LIBRARIES = {LOADER: ("onnxruntime",), ARCHIVE: ("stable_baselines3", "torch")}
 """The libraries that the policies in files compute with."""
 
@@ -190,8 +193,8 @@ def _source_to_dict(source: PolicySource) -> dict[str, Any]:
 
 def _shipped_file(path_or_name: str) -> Path:
     """The path of a policy's file: of a shipped one by its name."""
-    shipped = Path(__file__).parents[1] / "learn" / f"{path_or_name}.onnx"
-    return shipped if shipped.is_file() else Path(path_or_name)
+    shipped = (Path(__file__).parents[1] / "learn" / f"{path_or_name}{ending}" for ending in _ENDINGS)
+    return next((path for path in shipped if path.is_file()), Path(path_or_name))
 
 
 def _entry(target: str, description: str, **arguments: Any) -> tuple[str, str, dict[str, Any]]:
@@ -233,6 +236,11 @@ _COMPARED = {
 }
 _OTHERS = {
     "ppo-ptne-v1": _network("ptne-v1"),
+    "recurrent-random-energy-switching-transformed": _entry(
+        LOADER,
+        "A network with memory that was trained through the world, in games of this scenario.",
+        path_or_name="recurrent-random-energy-switching-transformed",
+    ),
     "static-tuned": _entry("law:static", "The static law with tuned weights.", kappa=2.2, gradient_gain=2.94),
     "adaptive-grounded": _entry(
         "law:adaptive-grounded",
@@ -303,10 +311,10 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
     line, whose strings may be copied from elsewhere, asks first.
 
     Args:
-        policy: a name of :data:`POLICIES`, an ``.onnx`` file, a Stable-Baselines3 ``.zip``, the id of a law
-            (``"law:grounded"``) or a ``"module:object"`` that is called with the layout, or ``"name=pattern"`` (such as
-            ``"mine=runs/seed-*/policy.onnx"``), whose files are the training seeds of one policy; or an object or class
-            with ``predict``, whose class gives the name.
+        policy: a name of :data:`POLICIES`, an ``.onnx`` or ``.npz`` file, a Stable-Baselines3 ``.zip``, the id of a
+            law (``"law:grounded"``) or a ``"module:object"`` that is called with the layout, or ``"name=pattern"``
+            (such as ``"mine=runs/seed-*/policy.onnx"``), whose files are the training seeds of one policy; or an object
+            or class with ``predict``, whose class gives the name.
         trust: whether code that is stored in a ``.zip`` may be executed.
 
     Raises:
@@ -332,20 +340,20 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
         if not found:
             raise FileNotFoundError(f"there is no file {pattern!r}, which '{policy}' asks for")
         return PolicySpec(name, tuple(_file(path, trust=trust) for path in found))
-    if Path(policy).suffix in (".onnx", ".zip"):
+    if Path(policy).suffix in (*_ENDINGS, ".zip"):
         return PolicySpec(Path(policy).stem, _file(policy, trust=trust))
     if ":" in policy:
         return PolicySpec(policy, FactorySpec.of(policy))
-    raise ValueError(unknown_name("policy", policy, POLICIES, "an .onnx file or a 'module:object'"))
+    raise ValueError(unknown_name("policy", policy, POLICIES, "an .onnx or .npz file or a 'module:object'"))
 
 
 def _file(path: str, *, trust: bool) -> FactorySpec:
     """The spec of the policy in a file."""
     require_file(path)
-    if path.endswith(".onnx"):
+    if path.endswith(_ENDINGS):
         return FactorySpec.of(LOADER, path_or_name=path)
     if not path.endswith(".zip"):
-        raise ValueError(f"{path!r} is no policy: policy files end in .onnx or .zip")
+        raise ValueError(f"{path!r} is no policy: policy files end in .onnx, .npz or .zip")
     if not require_flag("trust", trust):
         raise ValueError(
             f"loading {path!r} executes code that is stored in it; if you trust it: "

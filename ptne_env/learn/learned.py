@@ -22,8 +22,13 @@ from ptne_env.shared.names import unknown_name
 if TYPE_CHECKING:
     import onnx
 
+    from ptne_env.learn.recurrent import RecurrentPolicy
+
 _FOLDER = Path(__file__).parent
 _METADATA, _DIGEST, _UNKNOWN = "ptne_env", "sha256", "0" * 64
+
+SUFFIXES = (".onnx", ".npz")
+"""Endings of policy files: networks without memory, and recurrent ones."""
 
 LARGEST_FILE = 16 << 20
 """Bytes of the largest file that is read; the shipped ones have 30 kB."""
@@ -173,7 +178,7 @@ class LearnedPolicy:
 
 def shipped() -> list[str]:
     """The names of the policies in the library."""
-    return sorted(path.stem for path in _FOLDER.glob("*.onnx"))
+    return sorted(path.stem for ending in SUFFIXES for path in _FOLDER.glob(f"*{ending}"))
 
 
 def shipped_path(name: str) -> Path:
@@ -183,8 +188,8 @@ def shipped_path(name: str) -> Path:
         ValueError: for another name.
     """
     if name not in shipped():
-        raise ValueError(unknown_name("learned policy", name, shipped(), "an .onnx file"))
-    return _FOLDER / f"{name}.onnx"
+        raise ValueError(unknown_name("learned policy", name, shipped(), "an .onnx or .npz file"))
+    return next(path for ending in SUFFIXES if (path := _FOLDER / f"{name}{ending}").exists())
 
 
 def sealed(model: onnx.ModelProto, metadata: Metadata) -> bytes:
@@ -199,28 +204,32 @@ def sealed(model: onnx.ModelProto, metadata: Metadata) -> bytes:
     return content.replace(_UNKNOWN.encode(), sha256(content).hexdigest().encode())
 
 
-def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> LearnedPolicy:
-    """A learned policy from an ``.onnx`` file, or a shipped policy by name.
+def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> LearnedPolicy | RecurrentPolicy:
+    """A learned policy from an ``.onnx`` or ``.npz`` file, or a shipped policy by name.
 
     Args:
         path_or_name: the file or name.
-        layout: of the environment in which the policy must be able to act; not checked if left out.
+        layout: of the environment in which the policy must be able to act; not checked if left out. The policy of an
+            ``.npz`` file needs it before it acts.
 
     Raises:
         ValueError: for an unknown name.
         FileNotFoundError: when there is no such file.
         PolicyFileError: when the file is damaged, foreign, too large or of another version, refers to other files, has
             other operations than :data:`OPERATORS`, or was made for another layout.
-        ImportError: without onnx and onnxruntime, naming the extra to install.
+        ImportError: without onnx and onnxruntime, which ``.onnx`` files need, naming the extra to install.
     """
-    if not all(map(importlib.util.find_spec, ("onnx", "onnxruntime"))):
-        raise ImportError('learned policies need onnx and onnxruntime: pip install "ptne-env[bench]"')
-    is_file = Path(path_or_name).suffix == ".onnx"
+    is_file = Path(path_or_name).suffix in SUFFIXES
     path = Path(path_or_name) if is_file else shipped_path(str(path_or_name))
+    if path.suffix == ".onnx" and not all(map(importlib.util.find_spec, ("onnx", "onnxruntime"))):
+        raise ImportError('learned policies need onnx and onnxruntime: pip install "ptne-env[bench]"')
     require_file(path)
     if path.stat().st_size > LARGEST_FILE:
         raise PolicyFileError(f"{path} has more than {LARGEST_FILE >> 20} MiB")
-    policy = _opened(path, path.read_bytes())
+    from ptne_env.learn import recurrent  # which needs the errors of this module
+
+    opened = _opened if path.suffix == ".onnx" else recurrent.opened
+    policy: LearnedPolicy | RecurrentPolicy = opened(path, path.read_bytes())
     if layout is not None:
         policy.require(layout)
     return policy

@@ -112,10 +112,3 @@ def test_a_scenario_with_a_part_that_numpy_alone_can_compute_is_refused_by_name(
     state = world.reset(key())
     with pytest.raises(ValueError, match=r"scenario 'mine' has a part .*test_environment.py"):
         world.step(state, state.estimates)
-
-
-def test_rollouts_map_over_seeds():
-    world = ptne_env.jax.world("energy-switching", interface="physical")
-    policy, keys = ptne_env.jax.static(world.layout), jax.random.split(key(), 3)
-    run = jax.jit(lambda key: ptne_env.jax.rollout(world, policy, key, 2, steps=5).digits)
-    np.testing.assert_allclose(jax.vmap(run)(keys)[2], run(keys[2]), rtol=1e-9)

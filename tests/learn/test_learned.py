@@ -70,18 +70,14 @@ def test_a_file_with_any_damaged_byte_or_length_is_refused(tmp_path):
     learn.load(path)
 
 
-@pytest.mark.parametrize("content", [b"", b"not a network", b"PK\x03\x04 a zip", json.dumps({"a": 1}).encode()])
+OTHERS = [b"", b"not a network", b"PK\x03\x04 a zip", b"{}", first_entries().SerializeToString()]
+
+
+@pytest.mark.parametrize("content", OTHERS)
 def test_a_foreign_file_is_refused(tmp_path, content):
     path = tmp_path / "foreign.onnx"
     path.write_bytes(content)
     with pytest.raises(PolicyFileError, match=r"foreign.onnx is .*damaged"):
-        learn.load(path)
-
-
-def test_an_onnx_file_of_something_else_is_refused(tmp_path):
-    path = tmp_path / "other.onnx"
-    path.write_bytes(first_entries().SerializeToString())
-    with pytest.raises(PolicyFileError, match="without the metadata of a ptne_env policy"):
         learn.load(path)
 
 
@@ -93,25 +89,13 @@ def test_a_large_file_is_refused_before_it_is_read(tmp_path):
         learn.load(path)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"unheard_of": 1},
-        {"action_dims": ["a"]},
-        {"action_dims": [0]},
-        {"slots": "2"},
-        {"interface": "local"},
-        {"interface": ["scaled"]},
-    ],
-)
-def test_bad_metadata_are_refused(changes):
-    with pytest.raises(PolicyFileError, match="damaged or of another version"):
-        Metadata.from_json(json.dumps(json.loads(metadata().to_json()) | changes))
+CHANGES = ({"unheard_of": 1}, {"action_dims": ["a"]}, {"action_dims": [0]}, {"slots": "2"}, {"interface": ["scaled"]})
+BAD = [json.dumps(json.loads(metadata().to_json()) | each) for each in CHANGES]
 
 
-@pytest.mark.parametrize("text", ["{", "[]", "{}", "[" * 100_000, '{"interface":' * 100_000])
+@pytest.mark.parametrize("text", [*BAD, "{", "[]", "{}", "[" * 100_000, '{"interface":' * 100_000])
 def test_metadata_that_are_no_description_are_refused(text):
-    with pytest.raises(PolicyFileError, match="damaged"):
+    with pytest.raises(PolicyFileError, match="damaged or of another version"):
         Metadata.from_json(text)
 
 

@@ -96,15 +96,10 @@ def random_rows(size, rows=70):
     return lambda _: next(steps)
 
 
-@pytest.mark.parametrize("operator", ["Elu", "Softplus", "Sigmoid"])
-def test_onnx_files_with_vectorised_functions_decide_rows_alike(tmp_path, operator):
-    rng = np.random.default_rng(2)
-    nodes = [
-        helper.make_node("MatMul", ["observation", "w1"], ["a"]),
-        helper.make_node(operator, ["a"], ["b"]),
-        helper.make_node("MatMul", ["b", "w2"], ["c"]),
-        helper.make_node(operator, ["c"], ["action"]),
-    ]
+def test_onnx_files_with_vectorised_functions_decide_rows_alike(tmp_path):
+    rng, names = np.random.default_rng(2), ("observation", "a", "b", "c", "d", "action")
+    kinds = (("MatMul", "w1"), ("Elu",), ("Softplus",), ("MatMul", "w2"), ("Sigmoid",))
+    nodes = [helper.make_node(kind, [names[i], *more], [names[i + 1]]) for i, (kind, *more) in enumerate(kinds)]
     shapes = {"w1": (OBSERVATION, 33), "w2": (33, 5)}
     weights = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     policy = learn.load(write(tmp_path / "mine.onnx", network(nodes, weights)))

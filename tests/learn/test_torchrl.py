@@ -93,17 +93,6 @@ def named(mask):
     return TensorDict({"_reset": torch.tensor(mask)[:, None]}, (len(mask),))
 
 
-def test_no_later_step_or_reset_changes_a_frame():
-    env, generator = make(), np.random.default_rng(0)
-    following, frames = env.reset(seed=0), []
-    for _ in range(20):
-        present, following = env.step_and_maybe_reset(acting(env, following, generator)[0])
-        frames.append((present, present.clone()))
-    assert sum(bool(frame["next", "done"].any()) for frame, _ in frames) > 2
-    for frame, kept in frames:
-        assert (frame == kept).all()
-
-
 def test_a_seed_counts_up_by_environment_and_holds_for_one_start_of_each():
     by_reset, by_argument, by_method = make(), make(seed=7), make()
     by_method.set_seed(7)

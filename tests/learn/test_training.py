@@ -12,13 +12,12 @@ from extras import need_sb3
 torch = need_sb3()
 
 from matplotlib import image
-from stable_baselines3 import A2C, PPO, SAC, TD3
-from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3 import A2C, PPO
 
 import ptne_env
 from ptne_env import PolicySpec, learn
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.learn.training import configurations, defaults, ppo
+from ptne_env.learn.training import configurations, ppo
 from ptne_env.learn.training.configuration import Configuration
 from ptne_env.learn.training.curve import draw, learning_curve, yardsticks
 from ptne_env.learn.training.export import to_onnx
@@ -75,7 +74,9 @@ def test_a_wrong_file_is_refused_by_name(content, message, tmp_path):
 
 
 def test_an_unknown_configuration_is_refused():
-    with pytest.raises(ValueError, match="unknown configuration 'nope'; choose from .*random-energy, or a .toml file"):
+    with pytest.raises(
+        ValueError, match="unknown configuration 'nope'; choose from .*random-energy, .*or a .toml file"
+    ):
         Configuration.from_toml("nope")
 
 
@@ -222,21 +223,3 @@ def test_the_picture_shows_every_run(run, tmp_path):
     (tmp_path / "evaluations.npz").write_bytes(b"PK")
     with pytest.raises(ValueError, match=r"evaluations\.npz is no learning curve"):
         learning_curve(tmp_path)
-
-
-@pytest.mark.skipif(not SOAK, reason="takes a minute for each training; PTNE_SOAK=1 runs it")
-@pytest.mark.parametrize(
-    ("algorithm", "settings", "envs", "steps", "least"),
-    [
-        (PPO, {"device": "cpu"}, 1, 100_000, 5.5),
-        (PPO, defaults.PPO, 32, 150_000, 4.0),
-        (SAC, defaults.SAC, 16, 40_000, 4.0),
-        (TD3, defaults.TD3, 16, 60_000, 4.0),
-    ],
-    ids=["PPO without settings", "PPO", "SAC", "TD3"],
-)
-def test_learners_gain_digits(algorithm, settings, envs, steps, least):
-    env = PlayerVecEnv("random-energy", envs, seed=0)
-    model = algorithm("MlpPolicy", env, seed=0, **settings).learn(steps)
-    games = PlayerVecEnv("random-energy", 20, seed=1_000_000)
-    assert evaluate_policy(model, games, n_eval_episodes=games.num_envs)[0] > least

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ptne_env.bench.files import read_json
 from ptne_env.bench.suite import world_names
 from ptne_env.learn.training import CONFIGURATIONS, configurations
 from ptne_env.shared.arrays import require_count, require_positive, require_printable, require_probability
@@ -101,3 +103,40 @@ def _values(name: str) -> dict[str, Any]:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise DamagedFileError(f"{path} is not a TOML file: {error}") from error
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A finished run.
+
+    Attributes:
+        agent_steps: done.
+        resumed_at: agent-steps, through the world updates, at which the run was resumed last; 0 for an uninterrupted
+            one.
+        seconds: of training since then.
+        digits: mean digits of the exported policy on the validation episodes; through the world, of the training
+            episodes that ended in the last tenth of the run.
+    """
+
+    agent_steps: int
+    resumed_at: int
+    seconds: float
+    digits: float
+
+
+def is_finished(configuration: Any, out: Path, policy: str) -> bool:
+    """Whether a folder holds the finished run of a configuration, a dataclass, with the file of its policy.
+
+    Raises:
+        ValueError: when it holds a run of another configuration.
+    """
+    path = out / "configuration.json"
+    if not path.exists():
+        return False
+    theirs = read_json(path, "the configuration of a training run")
+    mine: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(configuration)))
+    different = [name for name in sorted(mine.keys() | theirs.keys()) if mine.get(name) != theirs.get(name)]
+    if different:
+        differences = ", ".join(f"{name} is {theirs.get(name)} there and {mine.get(name)} here" for name in different)
+        raise ValueError(f"{out} holds another run: {differences}; choose another folder, or remove this one")
+    return (out / "summary.json").exists() and (out / policy).exists()

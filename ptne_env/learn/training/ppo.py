@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic
@@ -28,10 +28,13 @@ from ptne_env.bench.files import read_json
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import PolicySpec, evaluate
 from ptne_env.learn.learned import load
-from ptne_env.learn.training.configuration import Configuration
+from ptne_env.learn.training.configuration import Configuration, Summary, is_finished
 from ptne_env.learn.training.export import to_onnx
 from ptne_env.shared.files import write_atomically
 from ptne_env.world.scenario import Scenario
+
+POLICY = "policy.onnx"
+"""Name of the file of the policy."""
 
 Progress = Callable[[int, int, float], None]
 """Called with agent-steps done, agent-steps in all, and mean digits of the last evaluation, -inf before the first."""
@@ -42,25 +45,8 @@ EVALUATIONS = 10
 GAMES, VALIDATION_EPISODES = 20, 200
 """Games of an evaluation, and episodes on which the exported policy is validated."""
 
-_POLICY, _SUMMARY, _CONFIGURATION, _CHECKPOINTS = "policy.onnx", "summary.json", "configuration.json", "checkpoints"
+_SUMMARY, _CONFIGURATION, _CHECKPOINTS = "summary.json", "configuration.json", "checkpoints"
 _EVALUATION_SEED = 1_000_000
-
-
-@dataclass(frozen=True)
-class Summary:
-    """A finished run.
-
-    Attributes:
-        agent_steps: done.
-        resumed_at: agent-steps at which the run was resumed last; 0 for an uninterrupted one.
-        seconds: of training since then.
-        digits: mean digits of the exported policy on the validation episodes.
-    """
-
-    agent_steps: int
-    resumed_at: int
-    seconds: float
-    digits: float
 
 
 def train(configuration: Configuration, out: Path, progress: Progress | None = None) -> Summary:
@@ -80,7 +66,7 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
         ValueError: for values that do not fit each other or an unknown scenario, when ``out`` holds a run with another
             configuration or a damaged one, and when the trained policy fails on a validation episode.
     """
-    if is_finished(configuration, out):
+    if is_finished(configuration, out, POLICY):
         return Summary(**read_json(out / _SUMMARY, "the summary of a training run"))
     began = monotonic()
     torch.set_num_threads(1)  # the networks are small: a second thread costs more time than it saves
@@ -105,28 +91,10 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
 
     exported = to_onnx(model, env.layout, **asdict(configuration))
     digits = _validated(exported, scenario)
-    write_atomically(out / _POLICY, exported)
+    write_atomically(out / POLICY, exported)
     summary = Summary(model.num_timesteps, resumed_at, monotonic() - began, digits)
     write_atomically(out / _SUMMARY, json.dumps(asdict(summary), indent=2) + "\n")
     return summary
-
-
-def is_finished(configuration: Configuration, out: Path) -> bool:
-    """Whether a folder holds the finished run of a configuration.
-
-    Raises:
-        ValueError: when it holds a run of another configuration.
-    """
-    path = out / _CONFIGURATION
-    if not path.exists():
-        return False
-    theirs = read_json(path, "the configuration of a training run")
-    mine: dict[str, Any] = json.loads(json.dumps(asdict(configuration)))
-    different = [name for name in sorted(mine.keys() | theirs.keys()) if mine.get(name) != theirs.get(name)]
-    if different:
-        differences = ", ".join(f"{name} is {theirs.get(name)} there and {mine.get(name)} here" for name in different)
-        raise ValueError(f"{out} holds another run: {differences}; choose another folder, or remove this one")
-    return (out / _SUMMARY).exists() and (out / _POLICY).exists()
 
 
 def settings(configuration: Configuration, members: int) -> dict[str, Any]:
@@ -176,7 +144,7 @@ def _validated(exported: bytes, scenario: Scenario) -> float:
         ValueError: when it fails there, with the reason.
     """
     with TemporaryDirectory() as folder:
-        file = Path(folder) / _POLICY
+        file = Path(folder) / POLICY
         file.write_bytes(exported)
         policy = load(file)
     results = evaluate([PolicySpec("ppo", policy)], [scenario], episodes=VALIDATION_EPISODES, split="validation")

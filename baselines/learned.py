@@ -1,0 +1,290 @@
+"""The policies that were trained through the world: their recipe, their training, and the table ``learned.md``.
+
+    python baselines/learned.py train NAME [--seeds 0,1,2,3,4] [--out runs]   train a recipe; resumes what is unfinished
+    python baselines/learned.py table [--out runs]                            compare, and write ``learned.md``
+
+No world of a suite is trained on: sizes, numbers and fault levels of the generalist's worlds are others, and the worlds
+of the suite ``robustness`` are drawn from another seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from publish import RESULTS, Published, markdown, plain, with_interval
+
+from ptne_env import PolicySpec, evaluate, get_scenario, learn, parallel_env
+from ptne_env.bench import Runner, Workers, run_suite
+from ptne_env.bench.robustness import robustness
+from ptne_env.evaluation import POLICIES, Results, get_policy_spec
+from ptne_env.evaluation.tracks import Teammates, Track
+from ptne_env.learn import recurrent
+from ptne_env.shared.files import write_atomically
+from ptne_env.shared.parts import FactorySpec
+
+part = FactorySpec.of
+
+
+def _graphs(players: int, probability: float) -> FactorySpec:
+    return part("topology:random-graphs", players=players, probability=probability, seed=1)
+
+
+def _energy(players: int) -> FactorySpec:
+    return part("game:random-energy", players=players, coupling=(0.25 / players, 1.5 / players))
+
+
+def _noisy(std: float, *stages: FactorySpec) -> FactorySpec:
+    return part("channel:chain", stages=[*stages, part("channel:noise", std=std)])
+
+
+def _cycle(players: int, modes: int, dwell: float, clock: str) -> FactorySpec:
+    """The links of a cycle in turn, every mode disconnected."""
+    links = [(i, (i + 1) % players) for i in range(players)]
+    graphs = [part("topology:edges", players=players, edges=links[mode::modes]) for mode in range(modes)]
+    return part("topology:periodic", graphs=graphs, dwells=[dwell] * modes, clock=clock)
+
+
+BURSTS = part("channel:bursts", to_bad=0.08, to_good=0.15)
+
+BASE = get_scenario("random-energy").replace(steps=240, message_range=80.0, gain=16.0, s_end=5.5)
+
+
+def _world(name: str, players: int, *, kappa: float | None = None, **changes: Any) -> Track:
+    changes = {"game": _energy(players), "topology": _graphs(players, 0.45), "channel": _noisy(0.003)} | changes
+    team = None if kappa is None else Teammates(part("law:static", kappa=kappa), (1,))
+    return Track(f"train-{name}", BASE.replace(name=f"train-{name}", **changes), name, team)
+
+
+WORLDS = (
+    _world("clean", 4, channel="perfect", message_range=None),
+    _world("cycle-physical", 6, topology=_cycle(6, 3, 0.09, "physical"), channel=_noisy(0.002)),
+    _world(
+        "edges-transformed",
+        6,
+        topology=part(
+            "topology:random-edges",
+            graph=part("topology:circulant", players=6, offsets=(1, 2)),
+            probability=0.35,
+            dwells=(0.15, 0.5),
+            clock="transformed",
+        ),
+        channel=_noisy(0.2),
+    ),
+    _world("late", 4, channel=_noisy(0.1, part("channel:delay", steps=0, longest=5), BURSTS)),
+    _world("rounded", 6, channel=part("channel:rounding", width=0.3), topology=_graphs(6, 0.35)),
+    _world("liar", 6, channel=_noisy(0.003, part("channel:liar", size=12.0))),
+    _world("short", 4, deadline=0.15, steps=36, input_limit=6.0, topology=_graphs(4, 0.5)),
+    _world("stranger", 6, kappa=0.8, channel=_noisy(0.02)),
+    _world(
+        "monotone",
+        4,
+        game=part("game:random-affine", players=4, epsilon=0.0),
+        start=part("start:uniform", low=-8.0, high=8.0),
+        message_range=40.0,
+    ),
+    _world("bent", 6, game=part("game:random-saturating", affine=part("game:random-affine", players=6), bend=10.0)),
+    _world(
+        "box",
+        4,
+        game=part("game:random-affine", players=4, action_dim=(2, 1, 3, 1), low=-4.0, high=6.0),
+        channel=_noisy(0.05),
+    ),
+    _world(
+        "coupled",
+        5,
+        game=part("game:coupled", game=_energy(4), lines=3),
+        message_range=120.0,
+    ),
+    _world(
+        "dozen",
+        12,
+        topology=part("topology:circulant", players=12, offsets=(1, 3)),
+        gain=6.0,
+        steps=150,
+        channel=_noisy(0.001),
+    ),
+)
+"""Like tracks of the suite, with other numbers."""
+
+
+def drawn(count: int, seed: int = 77) -> tuple[Track, ...]:
+    """Random worlds of at most nine players and 500 steps, of another seed than those of the suite."""
+    tracks = robustness(seed).tracks
+    small = [track for track in tracks if len(track.world.neighbours[0]) <= 9 and track.scenario.steps <= 500]
+    return tuple(replace(track, name=f"drawn-{track.name}") for track in small[:count])
+
+
+ALL = "random-worlds"
+"""The recipe of the generalist."""
+
+RECIPES = {
+    "random-energy-switching-transformed": {"updates": 3000, "window": 30, "shrink": 0.98, "rate": 2e-3},
+    "random-energy-switching": {"updates": 1800, "cells": 1200, "window": 40, "shrink": 0.97},
+    ALL: {"updates": 13000, "window": 20, "shrink": 0.97, "cells": 800},
+}
+"""Settings by the scenario that they train in; two specialists, and the generalist."""
+
+
+def train(name: str, seed: int, out: Path) -> None:
+    """Train a recipe, and ship the policy of seed 0."""
+    from ptne_env.learn.training import through_world
+
+    settings = through_world.Settings(name, seed=seed, **RECIPES[name])
+    folder = out / name / f"seed-{seed}"
+    tracks = WORLDS + drawn(10) if name == ALL else ()
+
+    def show(done: int, total: int, digits: float) -> None:
+        if done % 200 == 0:
+            print(f"{name} {seed}: {done}/{total}, {digits:.3f} digits", flush=True)
+
+    summary = through_world.train(settings, folder, show, tracks)
+    print(f"{name} {seed}: {summary.digits:.2f} digits, {summary.seconds:.0f} s")
+    if seed == 0:
+        shutil.copyfile(folder / "policy.npz", Path(learn.__file__).parent / f"recurrent-{name}.npz")
+
+
+def untrained(out: Path, seeds: int = 20) -> PolicySpec:
+    """Networks with random weights."""
+    for seed in range(seeds):
+        weights = recurrent.initial_weights(np.random.default_rng(seed))
+        write_atomically(out / "untrained" / f"seed-{seed}.npz", recurrent.sealed(weights, {"seed": seed}))
+    return get_policy_spec(f"untrained={out}/untrained/seed-*.npz")
+
+
+def trained(name: str, out: Path) -> PolicySpec:
+    """All training seeds of a recipe that are there."""
+    return get_policy_spec(f"trained={out}/{name}/seed-*/policy.npz")
+
+
+def digits(results: Results, track: str, policy: str) -> tuple[float, str]:
+    """The mean, and the mean with its interval; with several training seeds also their standard deviation."""
+    record, seeds = results.record(track, policy, "digits"), results.samples[track, policy]["digits"].mean(1)
+    text = f"{record['mean']:.2f} [{record['low']:.2f}, {record['high']:.2f}]"
+    return record["mean"], text + (f" ± {seeds.std(ddof=1):.2f}" if len(seeds) > 1 else "")
+
+
+def table(out: Path) -> None:
+    """Play what is trained, on the test episodes of the published laws, and write ``learned.md``."""
+    with RESULTS.open(encoding="utf-8") as file:
+        published = Published(list(csv.DictReader(file)))
+    run = Runner(out / "played", Workers(1))
+    others = [untrained(out)]
+
+    def law(suite: str, track: str) -> tuple[float, str]:
+        """The best law of a track."""
+        names = [name for name in published.ranked(suite, track) if not POLICIES[name].files and name != "oracle"]
+        cell = published.cell(suite, track, names[0])
+        return float(cell["mean"]), f"{names[0]} {with_interval(cell)}"
+
+    rows, specialists = [], [name for name in RECIPES if name != ALL]
+    for name in specialists:
+        found = evaluate([*others, trained(name, out)], [name], run=run)
+        cells = [plain(published.cell("comparison", name, policy)) for policy in ("static", "ppo-random-energy")]
+        ours = [digits(found, name, policy)[1] for policy in ("untrained", "trained")]
+        rows.append([name, cells[0], law("comparison", name)[1], cells[1], *ours])
+    headings = ["", "the paper's law", "best law", "PPO", "untrained, 20 seeds", "trained through the world"]
+    parts = [markdown(headings, rows)]
+
+    found = run_suite("ptne-v1", [*others, trained(ALL, out)], run=run)
+    rows, leads, ratios = [], 0, []
+    for track in found.tracks:
+        best, ours = law("ptne-v1", track.name), digits(found, track.name, "trained")
+        cells = [plain(published.cell("ptne-v1", track.name, policy)) for policy in ("static", "ppo-ptne-v1")]
+        rows.append([track.name, cells[0], best[1], cells[1], digits(found, track.name, "untrained")[1], ours[1]])
+        leads += track.scored and ours[0] > best[0]
+        ratios += [ours[0] / best[0]] if track.scored else []
+    crowd = ratios[[track.name for track in found.tracks if track.scored].index("crowd-50")]
+    parts.append(markdown(headings, rows))
+    worlds = run_suite("robustness", [trained(ALL, out)], run=run)
+    pairs = [(digits(worlds, track.name, "trained")[0], track.name) for track in worlds.tracks]
+    worse = [name for mean, name in pairs if mean < digits(worlds, name, "static")[0]]
+    failed = [*found.failures, *worlds.failures]
+    parts.append(
+        f"- It leads every law on {leads} of {len(ratios)} scored tracks.\n"
+        f"- Mean over scored tracks of its digits over those of the best law: {np.mean(ratios):.2f}.\n"
+        f"- 50 players, after training with at most 12: {crowd:.2f} of the digits of the best law.\n"
+        f"- Worse than the paper's law on {len(worse)} of {len(pairs)} worlds of the suite robustness"
+        f"{': ' * bool(worse)}{', '.join(worse)}.\n"
+        f"- Failures: {len(failed)}."
+    )
+    write_atomically(Path(__file__).with_suffix(".md"), TEXT.format(*parts))
+
+
+TEXT = """# Policies that were trained through the world
+
+Written by `python baselines/learned.py table`; `python baselines/learned.py train NAME` trains. Digits with 95 %
+intervals, of the published test episodes; ± is the standard deviation over training seeds, where there are several.
+[learning.md](../docs/learning.md#through-the-world) explains the network and its training.
+
+## Specialists
+
+Each was trained in other games of its family.
+
+{0}
+
+## One file for all tracks
+
+Trained in 23 worlds, none of them of a suite, with at most 12 players.
+
+{1}
+
+{2}
+"""
+
+
+def draw(name: str, scenario: str, path: Path) -> None:
+    """Draw an episode of a policy: where player 1 copies from, and how far its messages are from what is true."""
+    from matplotlib.figure import Figure
+
+    env = parallel_env(scenario, interface="physical")
+    observations, _ = env.reset(seed=7)
+    policy, memory, gates, told = learn.load(name, env.layout), None, [], []
+    while env.agents:
+        rows = np.stack([observations[agent] for agent in env.agents])
+        told.append(rows[:, env.layout.slices["own_estimate"]])
+        actions, memory, gate = policy.decide(rows, memory)
+        gates.append(gate[0])
+        observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
+    shares, messages, truth = np.array(gates), np.array(told, dtype=float), env.nash_equilibrium
+    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    above, below = figure.subplots(2, sharex=True)
+    rows = shares.transpose(1, 2, 0).reshape(-1, len(shares))
+    image = above.imshow(
+        rows, aspect="auto", cmap="viridis", vmin=0, vmax=max(1.0, rows.max()), interpolation="nearest"
+    )
+    figure.colorbar(image, ax=above, label="share copied")
+    slots, n = env.layout.slots, env.layout.dimension
+    labels = [f"player {env.layout.neighbours[0][d] + 1}: x{c + 1}" for d in range(slots) for c in range(n)]
+    above.set_yticks(range(slots * n), labels, fontsize=7)
+    above.set_title("What player 1 copies from its two neighbours")
+    size = np.abs(messages).max((1, 2)) / np.abs(truth).max()
+    alike = [np.corrcoef(each.ravel(), np.tile(truth, len(each)))[0, 1] for each in messages]
+    below.plot(size, label="largest message over largest equilibrium strategy")
+    below.plot(alike, label="correlation of messages and equilibrium")
+    below.set(xlabel="step", ylim=(-1, None))
+    below.legend()
+    figure.savefig(path, dpi=90, metadata={"Software": None})
+    print(f"largest message {size.max():.2f} times the largest strategy; correlation at the end {alike[-1]:.6f}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", choices=("train", "table", "draw"))
+    parser.add_argument("name", nargs="?", choices=tuple(RECIPES), default=ALL)
+    parser.add_argument("--seeds", default="0")
+    parser.add_argument("--out", type=Path, default=Path("runs"))
+    given = parser.parse_args()
+    if given.command == "train":
+        for each in given.seeds.split(","):
+            train(given.name, int(each), given.out)
+    elif given.command == "table":
+        table(given.out)
+    else:
+        name = "random-energy-switching-transformed"
+        draw(f"recurrent-{name}", name, Path(__file__).parents[1] / "docs" / "images" / "learned.png")

@@ -1,0 +1,350 @@
+"""A recurrent policy: a small network that messages pass through, in numpy and in JAX, its player and its file.
+
+The network is written once, for numpy, which plays, and for JAX, which trains it
+(:mod:`ptne_env.learn.through_world`). Players, components and neighbours share all weights, and neighbours are pooled,
+so one file plays any number of each. It has observations in units of σ_i, memory and generic layers; nothing in it
+estimates, identifies or imitates.
+
+The last axis of arrays are M players, of all environments. Before it are n components and D neighbour slots, and before
+those the features: (F, D, n, M).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+from zipfile import ZipFile
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.learn.learned import PolicyFileError, PolicyLayoutError
+from ptne_env.perception.observation import Interface, ObservationLayout
+from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, fold, is_numpy, without_gradient
+
+Weights = dict[str, Any]
+"""The weights of a network by name, float32, of numpy or of JAX."""
+
+Memory = dict[str, Any]
+"""What players remember: hidden states, and the observation and displacement of the step before; zeros at a start."""
+
+SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS = 8, 7, 13, 3
+
+
+class Seen(NamedTuple):
+    """What players observe, in natural units.
+
+    Attributes:
+        gradient: of the own cost, 0 outside of the own block, shape (n, M).
+        relative: x^j − x^i per neighbour slot, (D, n, M).
+        live: whether the slot has a message, (D, M).
+        own: whether the component is the player's, (n, M).
+        leads: whether it is the neighbour's, (D, n, M).
+        clock: t/T, s, Θ_k and Δt_k/T, (4, M).
+        age: time since the last switch over the mean dwell, (M,).
+    """
+
+    gradient: Any
+    relative: Any
+    live: Any
+    own: Any
+    leads: Any
+    clock: Any
+    age: Any
+
+
+def read(layout: ObservationLayout, observations: Any, player: npt.NDArray[np.int64]) -> Seen:
+    """The content of observations (size, M) of some players (M,), under ``physical``."""
+    parts = {name: observations[part] for name, part in layout.slices.items()}
+    tables = layout.own_mask, layout.neighbour_components, np.eye(layout.dimension + 1)[layout.own_components, :-1]
+    own, leads, places = (np.moveaxis(table[player], 0, -1).astype(np.float32, order="C") for table in tables)
+    return Seen(
+        gradient=_sum(parts["own_gradient"][:, None] * places, 0),
+        relative=parts["relative_estimates"].reshape(layout.slots, layout.dimension, -1),
+        live=parts["weights"] > 0,
+        own=own,
+        leads=leads,
+        clock=parts["clock"],
+        age=parts["time_since_switch"][0],
+    )
+
+
+def initial_weights(generator: np.random.Generator, hidden: int = 32, slot_hidden: int = 16) -> Weights:
+    """Random weights of a network with some hidden units per component, and per component of each neighbour."""
+    return {
+        name: (generator.normal(size=shape) / math.sqrt(shape[-1]) * (name != "out_bias")).astype(np.float32)
+        for name, shape in _shapes(hidden, slot_hidden).items()
+    }
+
+
+def _shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
+    return {
+        "slot_in": (3, slot_hidden, SLOT_FEATURES),
+        "slot_player": (3, slot_hidden, PLAYER_FEATURES),
+        "slot_component": (3, slot_hidden, hidden),
+        "slot_again": (3, slot_hidden, slot_hidden),
+        "in": (3, hidden, COMPONENT_FEATURES),
+        "pooled": (3, hidden, slot_hidden),
+        "chosen": (3, hidden, slot_hidden),
+        "player": (3, hidden, PLAYER_FEATURES + 2 * hidden),
+        "again": (3, hidden, hidden),
+        "gate": (1, slot_hidden),
+        "out": (OUTPUTS, hidden),
+        "out_bias": (OUTPUTS, 1),
+    }
+
+
+def initial_memory(weights: Weights, layout: ObservationLayout, players: int, xp: Any = np) -> Memory:
+    """The memory of players at the start of an episode."""
+    n, slots = layout.dimension, layout.slots
+    hidden, slot_hidden = weights["again"].shape[-1], weights["slot_again"].shape[-1]
+    sizes: dict[str, tuple[int, ...]] = {"hidden": (hidden, n), "slot_hidden": (slot_hidden, slots, n)}
+    sizes |= {
+        "gradient": (n,),
+        "relative": (slots, n),
+        "heard": (slots,),
+        "moved": (n,),
+        "log_scale": (),
+        "started": (),
+    }
+    return {name: xp.zeros((*size, players), dtype=np.float32) for name, size in sizes.items()}
+
+
+def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memory) -> tuple[Any, Memory, Any]:
+    """Inputs of players, their memory, and the copy gates.
+
+    Args:
+        weights: of the network.
+        layout: of observations; its limits are known to players.
+        seen: the observations.
+        memory: of the players.
+
+    Returns:
+        Inputs u in natural units, shape (n, M); the memory for the next step; and the share of the difference to
+        each neighbour that a player copies, (D, n, M).
+    """
+    xp = array_namespace(seen.gradient)
+    scale, slots, components, players = _features(layout, Seen(*map(without_gradient, seen)), memory)
+    hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
+    slot_inputs = [
+        _linear(weights["slot_in"][gate], slots)
+        + _linear(weights["slot_component"][gate], hidden)[:, None]
+        + _linear(weights["slot_player"][gate], players)[:, None, None]
+        for gate in range(3)
+    ]
+    slot_hidden = _gated(slot_inputs, weights["slot_again"], slot_hidden)
+    logits = xp.where(live, 4 * _linear(weights["gate"], slot_hidden)[0], -1e3)
+    chances = xp.exp(logits - without_gradient(logits.max(0))) * live
+    attention = chances / xp.maximum(_sum(chances, 0), 1.0)  # the sum is at least 1 if any is live
+    count = xp.maximum(live.sum(0), 1).astype(np.float32)
+    pooled, chosen = _sum(slot_hidden * live, 1) / count, _sum(slot_hidden * attention, 1)
+    context = [_sum(hidden, 1) / hidden.shape[1], _sum(hidden * seen.own, 1) / seen.own.sum(0)]
+    inputs = [
+        _linear(weights["in"][gate], components)
+        + _linear(weights["pooled"][gate], pooled)
+        + _linear(weights["chosen"][gate], chosen)
+        + _linear(weights["player"][gate], xp.concatenate([players, *context]))[:, None]
+        for gate in range(3)
+    ]
+    hidden = _gated(inputs, weights["again"], hidden)
+    amplitude, rate, free = _linear(weights["out"], hidden) + weights["out_bias"][:, :, None]
+    gates = (1 + xp.tanh(amplitude)) * attention
+    step = 0.3 * xp.exp(xp.clip(rate, -7, 3)) * seen.gradient
+    wanted = _sum(gates * seen.relative, 0) - step + 0.1 * free * scale
+    theta = xp.maximum(seen.clock[2], 1e-9)
+    inputs = xp.clip(wanted / theta, -layout.action_bound, layout.action_bound)
+    moved = without_gradient(theta * inputs)
+    after = {
+        "hidden": hidden,
+        "slot_hidden": slot_hidden,
+        "gradient": without_gradient(seen.gradient),
+        # The last message of each neighbour, from where the player is after this step.
+        "relative": without_gradient(xp.where(live, seen.relative, memory["relative"])) - moved,
+        "heard": xp.maximum(memory["heard"], seen.live),
+        "moved": moved,
+        "log_scale": xp.log10(scale),
+        "started": xp.ones_like(scale),
+    }
+    return inputs, after, gates
+
+
+def _features(layout: ObservationLayout, seen: Seen, memory: Memory) -> tuple[Any, Any, Any, Any]:
+    """σ_i, shape (M,), and features per slot, (F, D, n, M), component, (F, n, M), and player."""
+    xp = array_namespace(seen.gradient)
+    live, started = seen.live.astype(np.float32), memory["started"]
+    known, links, own = (live * memory["heard"])[:, None], live.sum(0), seen.own
+    largest = xp.maximum(xp.abs(seen.gradient).max(0), xp.abs(seen.relative).max((0, 1)))
+    scale = xp.maximum(largest, 1e-30)
+    unit = 1 / scale
+    relative, change = seen.relative * unit, (seen.relative - memory["relative"]) * known * unit
+    gradient, moved = seen.gradient * unit, memory["moved"] * unit
+    turn = (seen.gradient - memory["gradient"]) * (unit * started)
+    log_scale, theta = xp.log10(scale), xp.maximum(seen.clock[2], 1e-9)
+    farthest = xp.log10(layout.input_limit * theta) - log_scale
+    message_range = np.log10(min(layout.message_range, 1e6)).astype(np.float32) - log_scale
+    slots = [relative, _magnitude(relative), _soft(change), _magnitude(change) * known]
+    slots += [live[:, None], known, seen.leads, seen.own]
+    components = [gradient, _magnitude(gradient) * own, _soft(turn), _magnitude(turn) * own]
+    components += [_soft(moved), _magnitude(moved), own]
+    players = [log_scale / 10, xp.clip(log_scale - memory["log_scale"], -1, 1) * started]
+    players += [seen.clock[0], seen.clock[1] / (layout.largest_clock[1] or 1.0), xp.log10(theta), seen.age]
+    players += [links / 4, xp.clip(farthest, -1, 3) / 2, xp.clip(message_range, 0, 12) / 12, started]
+    players += [np.float32(np.log10(layout.num_players)), 1 / xp.maximum(links, 1), np.float32(1)]
+    shapes = relative.shape, gradient.shape, scale.shape
+    return scale, *(
+        xp.stack([xp.broadcast_to(each, shape).astype(np.float32) for each in features])
+        for features, shape in zip((slots, components, players), shapes, strict=True)
+    )
+
+
+def _magnitude(array: Any) -> Any:
+    """The logarithm of |x| in 1e-8 to 1e8, of order one; without gradient."""
+    xp = array_namespace(array)
+    return without_gradient(xp.log10(xp.clip(xp.abs(array), 1e-8, 1e8)) / 4 + 1)
+
+
+def _soft(array: Any) -> Any:
+    """Numbers within ±2, nearly as they are where they are small."""
+    xp = array_namespace(array)
+    return 2 * xp.tanh(xp.clip(array, -20, 20) / 2)
+
+
+def _linear(weight: Any, array: Any) -> Any:
+    """The product of a matrix with the features of an array (F, ..., M)."""
+    if not is_numpy(array):
+        return (weight @ array.reshape(len(array), -1)).reshape(-1, *array.shape[1:])
+    # Each player has a product of its own: in a larger one, libraries of linear algebra take other code for the last
+    # columns, so that the bits of a player's result would depend on its place.
+    of_players = np.ascontiguousarray(np.moveaxis(array, -1, 0)).reshape(array.shape[-1], len(array), -1)
+    product = np.ascontiguousarray(np.moveaxis(weight @ of_players, 0, -1))
+    return product.reshape(-1, *array.shape[1:])
+
+
+def _sum(array: Any, axis: int) -> Any:
+    """The sum along an axis; numpy's in order, which else depends on the number of players."""
+    return fold(np.add, array, axis) if is_numpy(array) else array.sum(axis)
+
+
+def _gated(inputs: Sequence[Any], weights: Any, hidden: Any) -> Any:
+    """The next hidden state of a gated recurrent unit: what it keeps, what it uses of it, and the new content."""
+    xp = array_namespace(hidden)
+    keep, use = (0.5 * (1 + xp.tanh((inputs[k] + _linear(weights[k], hidden)) / 2)) for k in range(2))
+    return keep * hidden + (1 - keep) * xp.tanh(inputs[2] + _linear(weights[2], use * hidden))
+
+
+# The player, and its file.
+
+LARGEST_UNPACKED = 16 << 20
+"""Bytes of the weights in the largest file that is read; the shipped ones have 70 kB."""
+
+_METADATA, _VERSION = "metadata", 1
+
+
+class RecurrentPolicy:
+    """A network that plays, in numpy; see :class:`ptne_env.perception.policy.Policy`.
+
+    Attributes:
+        name: of the file, without its ending.
+        interface: ``physical``.
+        weights: of the network.
+        training: how it was trained; nothing depends on it.
+    """
+
+    interface = Interface("physical")
+
+    def __init__(
+        self, name: str, weights: Weights, layout: ObservationLayout | None, training: Mapping[str, Any]
+    ) -> None:
+        self.name, self.weights, self.training = name, weights, dict(training)
+        self._layout = layout
+
+    def require(self, layout: ObservationLayout) -> None:
+        """Check that the policy can act in an environment of this layout, and take that.
+
+        Raises:
+            PolicyLayoutError: when the layout has another interface.
+        """
+        if layout.interface != self.interface:
+            raise PolicyLayoutError(f"policy {self.name!r} acts through {self.interface}, not {layout.interface}")
+        self._layout = layout
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.float32],
+        state: Any = None,
+        episode_start: BoolArray | None = None,
+        deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
+    ) -> tuple[Float32Array, Any]:
+        """Actions for observations (R, size); see :meth:`ptne_env.perception.policy.Policy.predict`."""
+        inputs, memory, _ = self.decide(np.atleast_2d(observation), state, episode_start)
+        return (inputs[0] if np.ndim(observation) == 1 else inputs), memory
+
+    def decide(
+        self, rows: npt.NDArray[np.float32], memory: Memory | None = None, starts: BoolArray | None = None
+    ) -> tuple[Float32Array, Memory, Float32Array]:
+        """Actions (R, n) for observations (R, size), the memory, and the copy gates (R, D, n).
+
+        Raises:
+            PolicyFileError: when the policy was given no layout, or observations have another length.
+        """
+        layout = self._layout
+        if layout is None or rows.shape[1:] != (layout.size,):
+            wanted = "without a layout" if layout is None else f"with observations of length {layout.size}"
+            raise PolicyFileError(f"policy {self.name!r} was loaded {wanted}, got {rows.shape}: load(path, env.layout)")
+        columns = np.ascontiguousarray(np.asarray(rows, dtype=np.float32).T)
+        player = columns[layout.slices["player"]].argmax(0)
+        if memory is None:
+            memory = initial_memory(self.weights, layout, len(rows))
+        elif starts is not None and np.any(starts):
+            memory = {name: np.where(starts, np.float32(0), value) for name, value in memory.items()}
+        inputs, memory, gates = decide(self.weights, layout, read(layout, columns, player), memory)
+        return np.ascontiguousarray(inputs.T), memory, np.moveaxis(gates, -1, 0)
+
+
+def sealed(weights: Weights, training: Mapping[str, Any]) -> bytes:
+    """The content of a policy file: the weights, and a description with their SHA-256."""
+    arrays = {name: np.asarray(weights[name], dtype=np.float32) for name in sorted(weights)}
+    description = {"version": _VERSION, "sha256": _digest(arrays, training), "training": dict(training)}
+    arrays[_METADATA] = np.frombuffer(json.dumps(description).encode(), dtype=np.uint8)
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def opened(path: Path, content: bytes) -> RecurrentPolicy:
+    """The policy in an ``.npz`` file. Its size is checked before anything is unpacked, and no file executes code.
+
+    Raises:
+        PolicyFileError: when the content is damaged, foreign, too large or of another version.
+    """
+    try:
+        with ZipFile(io.BytesIO(content)) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        _require(size <= LARGEST_UNPACKED, f"it unpacks to more than {LARGEST_UNPACKED >> 20} MiB")
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            weights = {name: file[name] for name in file.files}
+        description = json.loads(weights.pop(_METADATA).tobytes())
+        _require(description["version"] == _VERSION, "it is of another version")
+        shapes = _shapes(weights["again"].shape[-1], weights["slot_again"].shape[-1])
+        same = shapes == {name: each.shape for name, each in weights.items()}
+        _require(same and all(each.dtype == np.float32 for each in weights.values()), "its weights have other shapes")
+        _require(_digest(weights, description["training"]) == description["sha256"], "it has another SHA-256")
+        _require(all(np.isfinite(each).all() for each in weights.values()), "a weight is not finite")
+    except Exception as error:  # zip files raise many classes
+        raise PolicyFileError(f"{path} is damaged, or no recurrent policy of this library: {error}") from error
+    return RecurrentPolicy(path.stem, weights, None, description["training"])
+
+
+def _require(holds: bool, otherwise: str) -> None:  # noqa: FBT001 - private
+    if not holds:
+        raise ValueError(otherwise)
+
+
+def _digest(weights: Weights, training: Any) -> str:
+    described = json.dumps(training, sort_keys=True).encode()
+    return sha256(b"".join([described, *(weights[name].tobytes() for name in sorted(weights))])).hexdigest()

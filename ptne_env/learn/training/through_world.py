@@ -1,0 +1,219 @@
+"""Training through the world: a recurrent policy learns by gradients of its digits that flow through the dynamics.
+
+Back-propagation through windows of the JAX world; states and memories go on from window to window (truncated
+back-propagation, analytic policy gradients). ``ptne train SCENARIO --through-world --out DIR`` runs it. ``DIR`` then
+holds ``policy.npz``, from which the same command resumes an interrupted run, ``summary.json``, ``configuration.json``
+and the learning curve, ``evaluations.npz``.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+import ptne_env.jax
+from ptne_env.bench.files import read_json
+from ptne_env.bench.suite import find_scenario
+from ptne_env.evaluation.tracks import Track
+from ptne_env.learn.recurrent import Weights, decide, initial_memory, initial_weights, opened, read, sealed
+from ptne_env.learn.training.configuration import Summary, is_finished
+from ptne_env.shared.arrays import require_count, require_positive, require_probability, without_gradient
+from ptne_env.shared.files import write_atomically
+from ptne_env.world import distances
+
+POLICY = "policy.npz"
+"""Name of the file of the policy."""
+
+_SUMMARY, _CONFIGURATION = "summary.json", "configuration.json"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The definition of a run.
+
+    Attributes:
+        scenario: name of the world in which it trains, as for ``ptne train``; of several worlds a name for them.
+        updates: of the weights, in all worlds together.
+        cells: environments of a world times its players times its components, which is what an update costs.
+        window: steps between updates. Gradients end there; states and memories go on.
+        shrink: factor of the gradient with respect to the state, per step.
+        rate: of Adam at the start; it falls to a fiftieth, along a cosine.
+        hidden: units of the network per component.
+        slot_hidden: units per component of each neighbour.
+        seed: of weights and episodes.
+
+    Raises:
+        ValueError: when a value has another type or is out of its range, naming it.
+    """
+
+    scenario: str
+    updates: int = 800
+    cells: int = 1600
+    window: int = 20
+    shrink: float = 0.97
+    rate: float = 1.5e-3
+    hidden: int = 32
+    slot_hidden: int = 16
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("updates", "cells", "window", "hidden", "slot_hidden"):
+            require_count(name, getattr(self, name), 1)
+        require_count("seed", self.seed, 0)
+        require_positive("rate", self.rate)
+        require_probability("shrink", self.shrink)
+
+
+class Lesson:
+    """A world in which a network trains: episodes that go on from update to update, each in another phase.
+
+    Args:
+        track: the world; its teammates, if any, follow the paper's static law.
+        settings: of the run.
+        optimiser: of optax.
+        key: draws the episodes.
+    """
+
+    def __init__(self, track: Track, settings: Settings, optimiser: Any, key: Any) -> None:
+        self._settings, self._optimiser = settings, optimiser
+        self.world = ptne_env.jax.world(track.scenario, interface="physical", pool=256)
+        layout = self.world.layout
+        self.envs = max(2, round(settings.cells / (layout.num_players * layout.dimension)))
+        self.agent_steps = settings.window * self.envs * layout.num_players
+        self._player = np.repeat(np.arange(layout.num_players), self.envs)
+        self._windows = self.world.numpy.clock.total_steps // settings.window
+        self._count, self._key = 0, key
+        self._kappa, self._stranger = 0.0, np.zeros((layout.num_players, self.envs), dtype=bool)
+        if track.teammates:
+            self._kappa = dict(track.teammates.policy.arguments)["kappa"]
+            self._stranger[list(track.teammates.players)] = True
+        weights = initial_weights(np.random.default_rng(0), settings.hidden, settings.slot_hidden)
+        memory = initial_memory(weights, layout, len(self._player), jnp)
+        self._carry = self.world.reset(key, self.envs), memory
+        self._update = jax.jit(self._updated, donate_argnums=(2,))
+
+    def update(self, weights: Weights, optimiser: Any) -> tuple[Weights, Any, float]:
+        """Weights and optimiser after an update, and the digits of the episodes that ended, NaN if none did."""
+        forced = np.zeros(self.envs, dtype=bool)
+        if self._count < self._windows:  # so that episodes are in all phases
+            first, last = (each * self.envs // self._windows for each in (self._count, self._count + 1))
+            forced[first:last] = self._count > 0
+        self._count += 1
+        key = jax.random.fold_in(self._key, self._count)
+        weights, optimiser, self._carry, ended = self._update(weights, optimiser, self._carry, key, forced)
+        return weights, optimiser, float(ended)
+
+    def _updated(self, weights: Weights, optimiser: Any, carry: Any, key: Any, forced: Any) -> Any:
+        world = self.world
+        (_, carry), slope = jax.value_and_grad(self._loss, has_aux=True)(weights, carry)
+        norm = jnp.sqrt(sum(jnp.vdot(leaf, leaf) for leaf in jax.tree.leaves(slope)))
+        slope = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(norm), leaf, 0.0), slope)
+        change, optimiser = self._optimiser.update(slope, optimiser, weights)
+        state, memory = carry
+        over = world.is_over(state)
+        ended = jnp.where(over, world.digits(state), 0.0).sum() / over.sum()
+        state = world.restarted(key, state._replace(diverged=state.diverged | forced))
+        starts = jnp.tile(over | forced, world.layout.num_players)
+        memory = jax.tree.map(lambda leaf: jnp.where(starts, 0.0, leaf), memory)
+        return optax.apply_updates(weights, change), optimiser, (state, memory), ended
+
+    def _loss(self, weights: Weights, carry: Any) -> Any:
+        """The mean over the window of the logarithm of the distance to the equilibrium."""
+        # A gradient computes each step again instead of storing its numbers, which is faster.
+        again = jax.checkpoint(lambda carry, _: self._step(weights, carry), prevent_cse=False)
+        carry, logarithms = jax.lax.scan(again, carry, length=self._settings.window)
+        return logarithms.mean(), carry
+
+    def _step(self, weights: Weights, carry: Any) -> Any:
+        state, memory = carry
+        world, layout = self.world, self.world.layout
+        observed = world.observe(state)
+        seen = read(layout, observed.reshape(len(observed), -1), self._player)
+        inputs, memory, _ = decide(weights, layout, seen, memory)
+        if self._stranger.any():
+            theirs = self._kappa * (seen.live[:, None] * seen.relative).sum(0) - seen.gradient
+            inputs = jnp.where(self._stranger.reshape(-1), theirs, inputs)
+        state = world.step(state, inputs.reshape(*state.estimates.shape).astype(jnp.float64))
+        state = state._replace(estimates=self._shrunk(state.estimates), own_gradients=self._shrunk(state.own_gradients))
+        if state.received is not None:
+            messages = self._shrunk(state.received.messages)
+            state = state._replace(received=state.received._replace(messages=messages))
+        logarithms = -distances.digits(distances.player_distances(state.estimates, state.game))
+        return (state, memory), jnp.where(state.diverged | self._stranger, 0.0, logarithms).mean()
+
+    def _shrunk(self, array: Any) -> Any:
+        kept = without_gradient(array)
+        return kept + self._settings.shrink * (array - kept)
+
+
+def train(
+    settings: Settings,
+    out: Path,
+    progress: Callable[[int, int, float], None] | None = None,
+    tracks: Sequence[Track] = (),
+) -> Summary:
+    """Train, and export; resume an interrupted run.
+
+    Every minute the policy so far is written; a resumed run goes on from it with other episodes and a fresh optimiser.
+    A finished run is not repeated. 64-bit numbers of JAX are switched on.
+
+    Args:
+        settings: of the run.
+        out: folder for all files of the run; made if missing.
+        progress: called after every update with their number, that of all, and the digits of the last tenth.
+        tracks: the worlds in which it trains, in turn; the scenario of the settings if left out.
+
+    Raises:
+        ValueError: for an unknown scenario, or when ``out`` holds a run with other settings or a damaged one.
+    """
+    if is_finished(settings, out, POLICY):
+        return Summary(**read_json(out / _SUMMARY, "the summary of a training run"))
+    jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
+    began = saved = monotonic()
+    tracks = tracks or [Track(settings.scenario, find_scenario(settings.scenario), "")]
+    weights = initial_weights(np.random.default_rng(settings.seed), settings.hidden, settings.slot_hidden)
+    resumed_at = steps = 0
+    if (out / POLICY).exists():
+        before = opened(out / POLICY, (out / POLICY).read_bytes())
+        weights, resumed_at, steps = before.weights, before.training["done"], before.training["agent_steps"]
+    weights = jax.tree.map(jnp.asarray, weights)
+    rate = optax.cosine_decay_schedule(settings.rate, settings.updates, 0.02)
+    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(lambda count: rate(count + resumed_at)))
+    memory, curve = optimiser.init(weights), np.zeros((0, 2))
+    key = jax.random.fold_in(jax.random.key(settings.seed), resumed_at)
+    lessons = [Lesson(track, settings, optimiser, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
+    write_atomically(out / _CONFIGURATION, json.dumps(asdict(settings), indent=2) + "\n")
+    for done in range(resumed_at + 1, settings.updates + 1):
+        lesson = lessons[done % len(lessons)]
+        weights, memory, digits = lesson.update(weights, memory)
+        steps += lesson.agent_steps
+        if math.isfinite(digits):
+            curve = np.append(curve, [[steps, digits]], axis=0)
+        if progress is not None:
+            progress(done, settings.updates, _late(curve))
+        if monotonic() - saved > 60 or done == settings.updates:
+            training = {"done": done, "agent_steps": steps, "worlds": [track.name for track in tracks]}
+            write_atomically(out / POLICY, sealed(weights, asdict(settings) | training))
+            saved = monotonic()
+    parts = [part for part in np.array_split(curve, 20) if len(part)]
+    buffer = io.BytesIO()
+    np.savez(buffer, timesteps=[part[:, 0].mean() for part in parts], results=[part[:, 1:].mean(0) for part in parts])
+    write_atomically(out / "evaluations.npz", buffer.getvalue())
+    summary = Summary(steps, resumed_at, monotonic() - began, _late(curve))
+    write_atomically(out / _SUMMARY, json.dumps(asdict(summary), indent=2) + "\n")
+    return summary
+
+
+def _late(curve: Any) -> float:
+    return float(curve[-max(1, len(curve) // 10) :, 1].mean()) if len(curve) else -math.inf

@@ -1,0 +1,69 @@
+"""Training through the world: the same network as in numpy, finite gradients, and runs that repeat and resume."""
+
+import dataclasses
+
+import pytest
+
+jax = pytest.importorskip("jax")
+
+import numpy as np
+
+import ptne_env.jax
+from ptne_env.learn import load, recurrent
+from ptne_env.learn.training import through_world
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.world import dynamics
+
+SHORT = through_world.Settings(
+    "test_through_world:SCENARIO", updates=4, cells=50, window=5, hidden=4, slot_hidden=3, rate=0.01
+)
+SCENARIO = ptne_env.get_scenario("random-energy-switching", steps=20)
+
+
+def test_the_network_is_the_same_in_numpy_and_jax():
+    world = ptne_env.jax.world(SCENARIO, interface="physical")
+    layout, weights = world.layout, recurrent.initial_weights(np.random.default_rng(0), 4, 3)
+    policy = recurrent.RecurrentPolicy("mine", weights, layout, {})
+    encoder = make_encoder(world.numpy, layout.interface)
+    state = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
+    player, memory, memories = np.repeat(np.arange(5), 3), None, recurrent.initial_memory(weights, layout, 15)
+    memories = jax.tree.map(jax.numpy.asarray, memories)
+    for _ in range(6):
+        actions, memory = policy.predict(encoder.observe(state).reshape(15, -1), memory)
+        observed = world.observe(world.state(state)).reshape(layout.size, -1)
+        again, memories, _ = recurrent.decide(weights, layout, recurrent.read(layout, observed, player), memories)
+        by_row = np.asarray(again).reshape(5, 5, 3).transpose(2, 1, 0).reshape(15, 5)
+        np.testing.assert_allclose(actions, by_row, rtol=1e-3, atol=1e-4 * np.abs(actions).max())
+        state = dynamics.step(world.numpy, state, encoder.decode(actions.reshape(3, 5, 5), state))
+
+
+def test_gradients_are_finite_where_nothing_is_left_to_do():
+    """At the equilibrium distances, differences and scales are 0, and their logarithms are not defined."""
+    track = through_world.Track("energy", SCENARIO, "")
+    lesson = through_world.Lesson(track, SHORT, through_world.optax.sgd(0.1), jax.random.key(0))
+    state, memory = lesson._carry
+    rest = jax.numpy.broadcast_to(state.game.nash_equilibria[:, None], state.estimates.shape)
+    state = state._replace(estimates=rest, own_gradients=0 * state.own_gradients)
+    weights = jax.tree.map(jax.numpy.asarray, recurrent.initial_weights(np.random.default_rng(0), 4, 3))
+    slope = jax.grad(lambda weights: lesson._loss(weights, (state, memory))[0])(weights)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slope))
+
+
+def test_a_run_learns_and_goes_on_after_an_interruption(tmp_path):
+    reports, out = [], tmp_path / "out"
+    summary = through_world.train(SHORT, out, lambda *report: reports.append(report))
+    assert [report[:2] for report in reports] == [(done, 4) for done in range(1, 5)]
+    assert (summary.agent_steps, summary.resumed_at) == (4 * 5 * 10, 0)
+    policy = load(out / "policy.npz", ptne_env.jax.world(SCENARIO, interface="physical").layout)
+    assert policy.training["scenario"] == SHORT.scenario
+    assert through_world.train(SHORT, out, lambda *_: pytest.fail("it trains")) == summary
+    with pytest.raises(ValueError, match="holds another run: seed is 0 there and 1 here"):
+        through_world.train(dataclasses.replace(SHORT, seed=1), out)
+    (out / "summary.json").unlink()  # as if it was interrupted after two updates
+    half = recurrent.sealed(policy.weights, policy.training | {"done": 2, "agent_steps": 100})
+    (out / "policy.npz").write_bytes(half)
+    assert through_world.train(SHORT, out).resumed_at == 2
+    again = load(out / "policy.npz")
+    assert again.training == policy.training
+    assert any((again.weights[name] != policy.weights[name]).any() for name in again.weights)

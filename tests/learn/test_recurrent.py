@@ -1,0 +1,80 @@
+"""The recurrent policy: worlds of any size, memory, and files that are data."""
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ptne_env
+from ptne_env.learn import PolicyFileError, PolicyLayoutError, recurrent
+
+WEIGHTS = recurrent.initial_weights(np.random.default_rng(0), hidden=6, slot_hidden=4)
+CONTENT = recurrent.sealed(WEIGHTS, {"seed": 0})
+
+
+def opened(content=CONTENT):
+    return recurrent.opened(Path("mine.npz"), content)
+
+
+@pytest.mark.parametrize("scenario", ["random-energy-switching", "robots", "oligopoly"])
+def test_one_file_plays_worlds_of_any_size_and_its_episodes_start_afresh(scenario):
+    env, policy = ptne_env.parallel_env(scenario, interface="physical"), opened()
+    observations, _ = env.reset(seed=0)
+    policy.require(env.layout)
+    actions, memory = policy.predict(np.stack(list(observations.values())))
+    assert actions.shape == (env.layout.num_players, env.layout.dimension)
+    observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
+    second = np.stack(list(observations.values()))
+    going_on, _ = policy.predict(second, memory)
+    mixed, _ = policy.predict(second, memory, np.arange(len(second)) == 0)
+    np.testing.assert_array_equal(mixed[1:], going_on[1:])
+    np.testing.assert_array_equal(mixed[0], policy.predict(second[0])[0])
+    assert (mixed[0] != going_on[0]).any()
+
+
+def test_a_file_with_a_damaged_byte_is_refused_or_plays_the_same():
+    rng, refused = np.random.default_rng(0), 0
+    for _ in range(300):
+        damaged = bytearray(CONTENT)
+        damaged[rng.integers(len(CONTENT))] ^= 1 << rng.integers(8)
+        try:
+            weights = opened(bytes(damaged) if rng.random() < 0.7 else CONTENT[: rng.integers(len(CONTENT))]).weights
+        except PolicyFileError:
+            refused += 1
+        else:  # the damage is in a date or the like
+            np.testing.assert_equal(weights, WEIGHTS)
+    assert refused > 250
+
+
+def sealed_with(version=1, **changes):
+    """A file whose SHA-256 is right, with some weights changed."""
+    weights, buffer = WEIGHTS | changes, io.BytesIO()
+    described = {"version": version, "training": {}, "sha256": recurrent._digest(weights, {})}
+    np.savez_compressed(buffer, **weights, metadata=np.frombuffer(json.dumps(described).encode(), dtype=np.uint8))
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"PK\x03\x04 a zip", "damaged, or no recurrent policy"),
+        (sealed_with(version=9), "of another version"),
+        (sealed_with(gate=np.zeros((1, 5), dtype=np.float32)), "other shapes"),
+        (sealed_with(more=np.zeros(1, dtype=np.float32)), "other shapes"),
+        (sealed_with(gate=WEIGHTS["gate"] * np.nan), "not finite"),
+        (sealed_with(again=np.zeros((3, 2000, 2000), dtype=np.float32)), "unpacks to more than 16 MiB"),
+        (sealed_with(gate=np.array([print])), "Object arrays cannot be loaded"),
+    ],
+)
+def test_a_foreign_file_is_refused_with_the_reason(content, reason):
+    with pytest.raises(PolicyFileError, match=f"mine.npz .*{reason}"):
+        opened(content)
+
+
+def test_a_policy_without_a_layout_or_with_another_interface_says_so():
+    with pytest.raises(PolicyFileError, match=r"without a layout.*load\(path, env.layout\)"):
+        opened().predict(np.zeros(3, dtype=np.float32))
+    with pytest.raises(PolicyLayoutError, match="acts through"):
+        opened().require(ptne_env.parallel_env("energy").layout)
