@@ -35,6 +35,7 @@ def play():
 def bench():
     """The command line, and a shipped policy."""
     from ptne_env import learn
+    from ptne_env.bench import find_scenario
 
     command = Path(sysconfig.get_path("scripts")) / "ptne"
     listed = subprocess.run([command, "list"], capture_output=True, text=True, check=True).stdout  # noqa: S603
@@ -42,9 +43,9 @@ def bench():
     assert names
     assert "energy-switching" in listed
     policy = learn.load(names[0])
-    scenario = policy.metadata.training["scenario"]
+    scenario = find_scenario(policy.metadata.training["scenario"])
     results = ptne_env.evaluate(["static", names[0]], scenario, episodes=3)
-    assert results.record(scenario, names[0], "digits")["mean"] > 1
+    assert results.record(scenario.name, names[0], "digits")["mean"] > 1
     page = [command, "compare", "energy", "--policy", "static", "--episodes", "2", "--out", "out"]
     subprocess.run(page, capture_output=True, check=True)  # noqa: S603
     assert "</html>" in Path("out/report.html").read_text(encoding="utf-8")

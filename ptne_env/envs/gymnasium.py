@@ -200,11 +200,11 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
             ValueError: for a wrong number of seeds, estimates of another shape, or a mask of another shape or dtype or
                 without a True.
         """
-        options = require_options(options, "estimates", "reset_mask")
-        mask = options.get("reset_mask")
+        given = require_options(options, "estimates", "reset_mask")
+        mask = given.get("reset_mask")
         if mask is not None and not np.any(mask):
             raise ValueError("options['reset_mask'] must name at least one environment to reset")
-        observations, infos = self.vector.reset(seed, mask, options.get("estimates"))
+        observations, infos = self.vector.reset(seed, mask, given.get("estimates"))
         started = np.ones_like(self._over) if mask is None else np.asarray(mask)
         self._over = self._over & ~started
         return self._joint(observations), _masked(_over_players(infos), started)

@@ -63,8 +63,9 @@ class PolicySpec:
                     f"policy {self.name!r} is {source!r}: give a FactorySpec, a class or function that is called with "
                     "the layout, or an object with predict; get_policy_spec('static') is the policy of a name"
                 )
-        if self.interface is not None and not isinstance(self.interface, Interface):  # type: ignore[redundant-expr]
-            object.__setattr__(self, "interface", Interface(self.interface))  # type: ignore[arg-type]  # it checks itself
+        given: Any = self.interface
+        if not isinstance(given, Interface | None):
+            object.__setattr__(self, "interface", Interface(given))  # which checks it
         declared = {_declared_interface(source) for source in self.training_seeds}
         if len(declared) > 1:
             raise ValueError(

@@ -60,7 +60,7 @@ class Job:
                 policy = self.policy.build(encoder.layout, self.training_seed)
                 witnesses = self._witnesses(encoder.layout, deciding, thorough=thorough, fills=fills) if audited else ()
                 try:
-                    teammates = team and team.join(world)
+                    teammates = None if team is None else team.join(world)
                     samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
                     break
                 except AuditError:  # perhaps of rounding, which a batch of the same size excludes

@@ -105,7 +105,7 @@ def require_count(name: str, value: int, minimum: int) -> int:
 
 def require_flag(name: str, value: bool) -> bool:  # noqa: FBT001 - what it checks
     """Return ``value``, or raise ``ValueError`` when it is neither True nor False, as the text "no" is not."""
-    if not isinstance(value, bool):  # type: ignore[redundant-expr]  # callers may pass any type
+    if not isinstance(value, bool):
         raise ValueError(f"{name} must be True or False, got {value!r}")
     return value
 

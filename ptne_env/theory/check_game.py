@@ -59,7 +59,7 @@ def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int 
     Raises:
         ValueError: when costs or own gradients of many environments cannot be computed, or have another shape.
     """
-    if not isinstance(game, Game):  # type: ignore[redundant-expr]  # callers may pass any type
+    if not isinstance(game, Game):
         raise TypeError(f"check_game needs a Game, such as env.world.game, got a {type(game).__name__}")
     generator = np.random.default_rng(seed)
     points = _points(game, radius, generator.uniform(-radius, radius, (game.dimension, samples)))

@@ -24,9 +24,3 @@ def test_more_episodes_extend_a_set_and_leave_its_beginning_alone():
     np.testing.assert_array_equal(longer.estimates[..., :3], shorter.estimates)
     for parameter in ("curvature", "target", "coupling"):
         np.testing.assert_array_equal(getattr(longer.game, parameter)[..., :3], getattr(shorter.game, parameter))
-
-
-@pytest.mark.parametrize(("seed", "episode"), [(-1, 0), (0, -1), (0, 2**32)])
-def test_a_seed_or_episode_out_of_range_is_refused(seed, episode):
-    with pytest.raises(ValueError, match="at least 0|below 2"):
-        episode_seed(seed, episode)

@@ -8,7 +8,7 @@ from small_suite import BASE, COMPLETE, untimed
 
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
-from ptne_env.evaluation import COMPARED, Track, get_policy_spec
+from ptne_env.evaluation import COMPARED, POLICIES, Track, get_policy_spec
 from ptne_env.perception.observation import LayoutError
 from ptne_env.world.world import World
 
@@ -86,6 +86,10 @@ def test_an_interface_may_be_given_by_its_kind_and_a_track_its_scenario_by_name(
     spec = PolicySpec("mine", laws.Static, "physical")
     assert spec == PolicySpec("mine", spec.policy, ptne_env.Interface("physical"))
     assert evaluate(spec, Track("mine", "energy", "The paper's."), episodes=1).samples
+    assert list(evaluate({"mine": laws.Static, "static": POLICIES["static"]}, BASE, episodes=1).policies) == [
+        "mine",
+        "static",
+    ]
 
 
 def test_a_policy_that_fits_no_track_is_refused():

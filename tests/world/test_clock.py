@@ -121,20 +121,3 @@ def test_default_episode_stops_0_03_percent_short_of_the_deadline():
 def test_without_constant_gain_theta_is_the_transformed_step():
     clock = StepClock(Exponential(1.2), gain=0.0, steps=10, s_end=5.0)
     assert clock.theta[:-1] == pytest.approx(np.full(10, 0.5))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"gain": -1.0}, r"gain \(c\) must be a finite number of at least 0"),
-        ({"steps": 0}, r"steps \(K\) must be a whole number of at least 1"),
-        ({"s_end": 0.0}, "s_end must be a finite number above 0"),
-        ({"s_end": 50.0}, "too long"),
-        ({"hold_steps": -1}, "hold_steps must be"),
-        ({"hold_steps": 3, "gain": 0.0}, "hold_steps need a gain c > 0"),
-        ({"spacing": "logarithmic"}, "effective, transformed, physical"),
-    ],
-)
-def test_invalid_clocks_are_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        StepClock(Exponential(1.2), **{"gain": 20.0, "steps": 10, "s_end": 8.0, **arguments})

@@ -81,11 +81,6 @@ def test_invalid_adjacency_matrices_are_refused(matrix, message):
         Graph(matrix)
 
 
-def test_directed_networkx_graph_is_refused():
-    with pytest.raises(ValueError, match="undirected"):
-        graphs.from_networkx(nx.path_graph(3, create_using=nx.DiGraph))
-
-
 @pytest.mark.parametrize("edge", [(0, 3), (-1, 0), (0, 1, 2), (1,)])
 def test_edge_outside_the_players_is_refused(edge):
     with pytest.raises(ValueError, match=r"players 0\.\.2"):

@@ -2,12 +2,10 @@ import numpy as np
 import pytest
 from worlds import BLOCKS, constant_actions, make_env, while_running
 
-import ptne_env
 from ptne_env import get_scenario
-from ptne_env.games import NoBestResponseError
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
-from ptne_env.world.rewards import REWARD_LIMIT, TERMS, Reward, parse_reward
+from ptne_env.world.rewards import REWARD_LIMIT, TERMS, Reward
 from ptne_env.world.world import World
 
 EVERY_TERM = dict.fromkeys(TERMS, 1.0)
@@ -154,30 +152,3 @@ def test_divergence_is_charged_for_the_remaining_steps():
         assert -6 < info["reward_digits"] < 0
         for name, limit in worst.items():
             assert info[f"reward_{name}"] == pytest.approx(-19 * limit, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("reward", "message"),
-    [
-        ("score", "unknown reward 'score'; choose from digits, tracking, payoff, regret"),
-        ({"digits": 1, "score": 2}, "unknown reward 'score'"),
-        ({}, "unknown reward {}; choose from"),
-        ({"digits": float("nan")}, "weight of reward 'digits' must be a finite number of at least 0"),
-        ({"digits": 1.0, "payoff": -1.0}, "weight of reward 'payoff' must be a finite number of at least 0"),
-    ],
-)
-def test_unknown_rewards_are_refused(reward, message):
-    with pytest.raises(ValueError, match=message):
-        parse_reward(reward)
-
-
-@pytest.mark.parametrize("reward", ["regret", {"digits": 1.0, "regret": 0.1}])
-def test_regret_is_refused_where_no_best_response_exists(reward):
-    with pytest.raises(NoBestResponseError, match="choose digits, tracking or payoff"):
-        make_env("non-quadratic", reward=reward)
-
-
-@pytest.mark.parametrize("reward", [lambda *_: 0.0, ["digits", "payoff"], None])
-def test_a_reward_of_another_type_is_refused_with_the_way_to_define_one(reward):
-    with pytest.raises(TypeError, match="reward is one of digits, .* got .*; another reward is a wrapper"):
-        ptne_env.parallel_env("energy", reward=reward)

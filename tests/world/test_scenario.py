@@ -1,6 +1,7 @@
 import json
 import pickle
 
+import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +10,7 @@ from worlds import FROM_THE_PAPER
 
 from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
 from ptne_env.games import EnergyGame, NonQuadraticGame
-from ptne_env.world.graphs import cycle
+from ptne_env.world.graphs import complete, cycle
 from ptne_env.world.switching import paper_topology
 from ptne_env.world.world import World
 
@@ -63,6 +64,16 @@ def test_overrides_change_only_what_they_name():
     expected = CATALOGUE["energy"].to_dict() | {"deadline": 2.0, "hold_steps": 5}
     assert changed.to_dict() == expected
     assert CATALOGUE["energy"].deadline == 1.2
+
+
+def test_families_have_any_number_of_players_and_graphs_come_from_networkx_and_arrays():
+    world = World(get_scenario("random-energy", players=7))
+    assert (world.game.num_players, world.topology.graphs) == (7, (cycle(7),))
+    graph = nx.complete_graph(7)
+    given = [get_scenario("random-energy", players=7, topology=each) for each in (graph, nx.to_numpy_array(graph))]
+    given.append(get_scenario("random-energy", players=7, topology=nx.to_numpy_array(graph).tolist()))
+    assert given == [given[0]] * 3
+    assert World(given[0]).topology.graphs == (complete(7),)
 
 
 def test_a_shortfall_above_one_percent_is_a_warning():
