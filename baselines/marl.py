@@ -63,7 +63,10 @@ OFF_POLICY = ("iddpg", "maddpg", "isac", "masac", "sac")
 
 ENVS, ROLLOUT, UNIT = 32, 64, 30_720
 """Environments stepped together and their steps in a rollout, of tuned settings. Agent-steps are multiples of a unit,
-which holds whole rollouts of every setting for five players."""
+which holds whole rollouts of every setting."""
+
+PLAYERS = 5
+"""Of every track that may be chosen."""
 
 DEFAULT = -1
 """The trial that is no trial: the library's defaults."""
@@ -171,16 +174,15 @@ def train_benchmarl(job: Job, folder: Path, report: Report) -> None:
 
     class Reporter(Callback):
         def on_train_end(self, training_td: Any, group: str) -> None:  # noqa: ARG002 - BenchMARL's signature
-            if job.is_due(self.experiment.total_frames * players):
-                report(self.experiment.total_frames * players, actor(self.experiment))
+            if job.is_due(self.experiment.total_frames * PLAYERS):
+                report(self.experiment.total_frames * PLAYERS, actor(self.experiment))
 
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     scenario = SUITE.track(job.track).scenario
-    players = VectorParallelEnv(scenario).num_players
     config, model = ExperimentConfig.get_from_yaml(), MlpConfig.get_from_yaml()
     algorithm = getattr(algorithms, f"{job.algorithm.capitalize()}Config").get_from_yaml()
     kind = "off_policy" if job.algorithm in OFF_POLICY else "on_policy"
-    changes: dict[str, Any] = {f"{kind}_collected_frames_per_batch": UNIT // players}  # 6144, and 6000 by default
+    changes: dict[str, Any] = {f"{kind}_collected_frames_per_batch": UNIT // PLAYERS}  # 6144, and 6000 by default
     if job.trial != DEFAULT:
         s = job.setting
         model.num_cells = [s["hidden"]] * 2
@@ -192,16 +194,16 @@ def train_benchmarl(job: Job, folder: Path, report: Report) -> None:
             "off_policy_collected_frames_per_batch": ENVS * 8,
             "off_policy_init_random_frames": ENVS * ROLLOUT,
             "off_policy_n_optimizer_steps": s["updates"],
-            "off_policy_train_batch_size": s["batch"] // players,
+            "off_policy_train_batch_size": s["batch"] // PLAYERS,
             "exploration_eps_init": s["spread"],
         }
         own = {"lmbda": s["trace"], "scale_mapping": f"biased_softplus_{s['spread']}", "alpha_init": s["entropy"]}
         for name in own.keys() & vars(algorithm).keys():
             setattr(algorithm, name, own[name])
-    frames = job.steps // players
+    frames = job.steps // PLAYERS
     changes |= {"max_n_frames": frames, "off_policy_memory_size": frames, "evaluation": False, "loggers": []}
     changes |= {"create_json": False, "save_folder": str(folder), "keep_checkpoints_num": 1}
-    changes |= {"checkpoint_interval": job.every // players}
+    changes |= {"checkpoint_interval": job.every // PLAYERS}
     checkpoints = sorted(folder.glob("*/checkpoints/*.pt"), key=lambda path: path.stat().st_mtime)
     if checkpoints:
         changes["restore_file"] = str(checkpoints[-1])
@@ -250,7 +252,7 @@ def train_stable_baselines(job: Job, folder: Path, report: Report) -> None:
         kind = "MlpLstmPolicy" if is_recurrent else "MlpPolicy"
         model = algorithm(kind, env, seed=job.seed, device="cpu", **arguments)
     while model.num_timesteps < job.steps:
-        model.learn(job.every, reset_num_timesteps=False)
+        model.learn(min(job.every, job.steps - model.num_timesteps), reset_num_timesteps=False)
         report(model.num_timesteps, model)
         if job.algorithm in OFF_POLICY:
             model.save_replay_buffer(buffer)
@@ -265,7 +267,6 @@ def run(job: Job, out: Path) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     progress = folder / "progress.json"
     kept = json.loads(progress.read_text()) if progress.exists() else {"points": [], "seconds": 0.0, "cpu": 0.0}
-    last: dict[str, Any] = {}
     began = [time.monotonic(), time.process_time()]
 
     def report(done: int, policy: Any) -> None:
@@ -274,7 +275,7 @@ def run(job: Job, out: Path) -> str:
         kept["points"] = [each for each in kept["points"] if each["step_count"] < done] + [point]
         kept["seconds"], kept["cpu"] = kept["seconds"] + now[0] - began[0], kept["cpu"] + now[1] - began[1]
         if done >= job.steps:
-            last["test"] = digits(job.track, policy, "test")
+            kept["test"] = digits(job.track, policy, "test")
         write_atomically(progress, json.dumps(kept))
         began[:] = [time.monotonic(), time.process_time()]
 
@@ -285,9 +286,9 @@ def run(job: Job, out: Path) -> str:
         return f"{job.name}: failed: {error!r}"
     package = PACKAGES[LIBRARIES[job.algorithm]]
     made_by = {name: version(name) for name in ("ptne-env", "torch", package)}
-    write_atomically(file, json.dumps({**asdict(job), **kept, **last, "versions": made_by}))
+    write_atomically(file, json.dumps({**asdict(job), **kept, "versions": made_by}))
     shutil.rmtree(folder)
-    return f"{job.name}: {np.mean(last['test']):.2f} digits in {kept['seconds']:.0f} s ({kept['cpu']:.0f} s of CPU)"
+    return f"{job.name}: {np.mean(kept['test']):.2f} digits in {kept['seconds']:.0f} s ({kept['cpu']:.0f} s of CPU)"
 
 
 def finished(out: Path) -> dict[Job, dict[str, Any]]:
@@ -314,21 +315,30 @@ def best_trials(found: Mapping[Job, dict[str, Any]], steps: int) -> dict[str, tu
 
 
 def collect(found: Mapping[Job, dict[str, Any]], steps: int) -> dict[str, Any]:
-    """Runs in the format of marl-eval: environment, task, algorithm, seed, points of the curve.
+    """What ``marl.json`` holds.
 
-    Beside digits of each game, the last entry of a run holds its seconds, those of its processor, and the trials made.
+    ``runs`` has the format of marl-eval: environment, task, algorithm, seed, points of the curve, digits of each game;
+    ``absolute_metrics`` are those of the test games. ``costs`` has the trials of each algorithm, and the seconds of its
+    trainings, by the clock and of the processor.
     """
-    best, tasks = best_trials(found, steps), {}
-    for job, file in sorted(found.items(), key=lambda item: (item[0].track, [*LIBRARIES].index(item[0].algorithm))):
+
+    def order(job: Job) -> tuple[Any, ...]:
+        return job.trial == DEFAULT, [*LIBRARIES].index(job.algorithm), job.track, job.seed
+
+    best, tasks, costs = best_trials(found, steps), {}, {}
+    for job, file in sorted(found.items(), key=lambda item: order(item[0])):
         if job.steps != steps or job.seed == TUNING_SEED or job.trial not in (DEFAULT, best[job.algorithm][0]):
             continue
         is_default = job.trial == DEFAULT
-        last = {"digits": file["test"], "seconds": [round(file["seconds"])], "cpu_seconds": [round(file["cpu"])]}
-        last["trials"] = [0 if is_default else best[job.algorithm][1]]
+        name = job.algorithm + "-default" * is_default
         points = {f"step_{number}": point for number, point in enumerate(file["points"])}
-        runs = tasks.setdefault(job.track, {}).setdefault(job.algorithm + "-default" * is_default, {})
-        runs[f"seed_{job.seed}"] = {**points, "absolute_metrics": last}
-    return {SUITE.name: tasks}
+        runs = tasks.setdefault(job.track, {}).setdefault(name, {})
+        runs[f"seed_{job.seed}"] = {**points, "absolute_metrics": {"digits": file["test"]}}
+        trials = 0 if is_default else best[job.algorithm][1]
+        cost = costs.setdefault(name, {"trials": trials, "seconds": [], "cpu_seconds": []})
+        cost["seconds"].append(round(file["seconds"]))
+        cost["cpu_seconds"].append(round(file["cpu"]))
+    return {"runs": {SUITE.name: tasks}, "costs": costs}
 
 
 def interquartile(samples: np.ndarray) -> tuple[float, float, float]:
@@ -370,12 +380,9 @@ def lines(track: str) -> dict[str, float]:
 
 def page(data: Mapping[str, Any]) -> str:
     """The text of the page."""
-    tasks = data[SUITE.name]
-    names = dict.fromkeys(name for algorithms in tasks.values() for name in algorithms)
-    rows = []
-    for name in sorted(names, key=lambda name: ("-default" in name, [*LIBRARIES].index(name.removesuffix("-default")))):
+    tasks, rows = data["runs"][SUITE.name], []
+    for name, cost in data["costs"].items():
         found = {track: algorithms[name] for track, algorithms in tasks.items() if name in algorithms}
-        runs = [run["absolute_metrics"] for each in found.values() for run in each.values()]
         cells = []
         for track in tasks:
             if track not in found:
@@ -384,12 +391,11 @@ def page(data: Mapping[str, Any]) -> str:
             mean, low, high = interquartile(np.array([r["absolute_metrics"]["digits"] for r in found[track].values()]))
             gain = last_fifth(found[track])
             cells.append(f"{mean:.2f} [{low:.2f}, {high:.2f}]" + f", rising {gain:.2f}" * (gain > FLAT))
-        trials = runs[0]["trials"][0]
-        is_done = trials >= ENOUGH_TRIALS and not any("rising" in cell for cell in cells)
-        seconds, cpu = (round(float(np.mean([run[key][0] for run in runs]))) for key in ("seconds", "cpu_seconds"))
+        is_done = cost["trials"] >= ENOUGH_TRIALS and not any("rising" in cell for cell in cells)
         seeds = sorted({len(each) for each in found.values()})
+        seconds, cpu = (round(float(np.mean(cost[key]))) for key in ("seconds", "cpu_seconds"))
         state = "" if is_done else "unfinished"
-        counts = ["–".join(map(str, dict.fromkeys((seeds[0], seeds[-1])))), str(trials), f"{seconds} ({cpu})"]
+        counts = ["–".join(map(str, dict.fromkeys((seeds[0], seeds[-1])))), str(cost["trials"]), f"{seconds} ({cpu})"]
         rows.append([name, *cells, *counts, state])
     for label, index in (("the paper's law (static)", 0), ("best law", 1)):
         laws = [[*lines(track).items()][index] for track in tasks]
@@ -406,12 +412,13 @@ TEXT = """# The field's algorithms
 Digits of algorithms of [BenchMARL](https://github.com/facebookresearch/BenchMARL) (`ippo` to `masac`),
 [Stable-Baselines3](https://github.com/DLR-RM/stable-baselines3) (`ppo`, `sac`) and sb3-contrib (`recurrent-ppo`) on
 tracks of ptne-v1, after {steps:,} agent-steps each. `python baselines/marl.py` trains them and writes this page; its
-first lines say how to install the libraries. [marl.json](marl.json) holds all runs in the format of marl-eval.
+first lines say how to install the libraries. [marl.json](marl.json) holds all runs in the format of
+[marl-eval](https://github.com/instadeepai/marl-eval), under `runs`.
 
 {table}
 
-- A number is the interquartile mean over seeds and the 60 test games, with a 95 % interval by a bootstrap over both.
-  The laws' are means over the same games.
+- A number is the interquartile mean over seeds and the 60 test games, with a 95 % interval by a bootstrap over both;
+  with one seed the interval is that of the games alone. The laws' are means over the same games.
 - `rising x`: the last fifth of the learning curve (on 20 validation games) gained x digits, more than {flat}.
 - `trials` counts the settings tried for a row; the best on validation games, of another seed, is shown. Trial 0 is
   that of [learning.md](../docs/learning.md). A row `-default` has the library's defaults, as they are.
@@ -429,7 +436,7 @@ The picture shows nothing below {lowest} digits.
 
 def draw(data: Mapping[str, Any], path: Path) -> None:
     """Draw the learning curves, a panel per track, with the laws as lines."""
-    tasks = data[SUITE.name]
+    tasks = data["runs"][SUITE.name]
     with drawing("learning curves"):
         from matplotlib.figure import Figure
 
@@ -466,7 +473,9 @@ def main() -> None:
     """Tune, train and write."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     installed = [name for name, library in LIBRARIES.items() if find_spec(library)]
-    parser.add_argument("--tracks", nargs="+", default=TRACKS, choices=[track.name for track in SUITE.tracks])
+    alone = [track for track in SUITE.tracks if track.teammates is None]
+    tracks = [track.name for track in alone if VectorParallelEnv(track.scenario).num_players == PLAYERS]
+    parser.add_argument("--tracks", nargs="+", default=TRACKS, choices=tracks)
     parser.add_argument("--algorithms", nargs="+", default=installed, choices=installed)
     parser.add_argument("--settings", nargs="+", default=["tuned"], choices=["tuned", "default"])
     parser.add_argument("--seeds", type=int, default=3)
