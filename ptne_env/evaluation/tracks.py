@@ -95,14 +95,8 @@ class Track:
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object."""
-        return {
-            "name": self.name,
-            "scenario": self.scenario.to_dict(),
-            "change": self.change,
-            "teammates": None if self.teammates is None else self.teammates.to_dict(),
-            "episodes": self.episodes,
-            "scored": self.scored,
-        }
+        team = self.teammates
+        return {**vars(self), "scenario": self.scenario.to_dict(), "teammates": team and team.to_dict()}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Track:

@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import SequenceMatcher
-
-_LIKE = 0.6
-"""Likeness, between 0 and 1, from which on a name was probably meant."""
-
-_SUGGESTIONS = 3
+from difflib import get_close_matches
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = "") -> str:
@@ -24,7 +19,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = ""
 
 
 def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
-    """The second half of the message: similar names, or all where none is similar.
+    """The second half of the message: up to three similar names, or all where none is similar.
 
     Capitals do not count, ``_`` is ``-``, and a name may be the beginning or, after ``/``, the end of the meant one.
 
@@ -35,25 +30,14 @@ def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
     """
     if name == "seed":
         return "a seed is an argument of reset, evaluate and training, such as reset(seed=3)"
-    choices = list(known)
-    likeness = {choice: _likeness(_plain(name), _plain(choice)) for choice in choices}
-    near = sorted((choice for choice in choices if likeness[choice] >= _LIKE), key=lambda choice: -likeness[choice])
+    choices, asked = list(known), _plain(name)
+    parts = {part: choice for choice in choices for part in (_plain(choice), _plain(choice).rpartition("/")[2])}
+    found = [*get_close_matches(asked, parts), *(part for part in parts if name and part.startswith(asked))]
+    near = list(dict.fromkeys(repr(parts[part]) for part in found))[:3]
     if near:
-        return f"did you mean {_alternatives(map(repr, near[:_SUGGESTIONS]))}?"
+        return f"did you mean {' or '.join(filter(None, (', '.join(near[:-1]), near[-1])))}?"
     return f"choose from {', '.join(choices)}" + f", or {otherwise}" * bool(otherwise)
 
 
 def _plain(name: str) -> str:
     return name.lower().replace("_", "-")
-
-
-def _likeness(name: str, choice: str) -> float:
-    """From 0, nothing in common, to 1, the same."""
-    whole, end = (SequenceMatcher(None, name, text).ratio() for text in (choice, choice.rpartition("/")[2]))
-    return max(whole, end, _LIKE if name and choice.startswith(name) else 0.0)
-
-
-def _alternatives(texts: Iterable[str]) -> str:
-    """Texts as in "a, b or c"."""
-    *first, last = texts
-    return f"{', '.join(first)} or {last}" if first else last

@@ -27,9 +27,4 @@ from ptne_env.theory.constants import gain_bound as gain_bound
 from ptne_env.theory.constants import monotonicity_constants as monotonicity_constants
 from ptne_env.theory.constants import proof_matrix as proof_matrix
 from ptne_env.theory.delayed_play import coupling_radius as coupling_radius
-from ptne_env.theory.delayed_play import delayed_play_radius as delayed_play_radius
-from ptne_env.theory.delayed_play import hop_delays as hop_delays
-from ptne_env.theory.sampled import SampledLoop as SampledLoop
-from ptne_env.theory.sampled import distance as distance
 from ptne_env.theory.sampled import sampled_loop as sampled_loop
-from ptne_env.theory.sampled import start_error as start_error

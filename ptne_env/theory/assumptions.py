@@ -57,7 +57,7 @@ def check_assumptions(world: World, constants: MonotonicityConstants) -> tuple[A
     smallest = min(graph.algebraic_connectivity for graph in topology.graphs)
     joint = topology.union.algebraic_connectivity
     connected = "the fixed graph is connected" if topology.is_fixed else "every graph is connected at every instant"
-    union = "λ2 of the union graph" + ", almost surely" * (topology.joint_connectivity == "almost surely")
+    union = "λ2 of the union graph" + ", almost surely" * (topology.is_random and smallest == 0)
     curvature, meaning, convex = _check_convexity(world.game)
     kind = "exact" if constants.exact else f"from {constants.samples} samples within {constants.radius:g} of x*"
     monotone: Verdict = "fails" if constants.epsilon <= 0 else "holds" if constants.exact else "sampled only"

@@ -15,10 +15,6 @@ from ptne_env.shared.parts import Part
 from ptne_env.world.graphs import Graph, from_edges, union
 
 TopologyClock: TypeAlias = Literal["physical", "transformed"]
-JointConnectivity: TypeAlias = Literal["always", "almost surely", "never"]
-"""Whether the graphs are jointly connected: within every window of some fixed length (``always``, Assumption 2 of the
-paper); with probability 1 from every instant on, but within no window of fixed length (``almost surely``, which
-Assumption 2 does not cover); or ``never``."""
 
 Dwells: TypeAlias = "float | tuple[float, float]"
 """A dwell time, or the range (shortest, longest) from which every dwell is drawn uniformly."""
@@ -93,14 +89,9 @@ class SwitchingTopology(Part):
         return union(self.graphs)
 
     @property
-    def joint_connectivity(self) -> JointConnectivity:
-        """Whether the graphs are jointly connected; for a periodic topology, over one period."""
-        return "always" if self.union.is_connected else "never"
-
-    @property
     def is_jointly_connected(self) -> bool:
-        """Assumption 2 of the paper (Assumption 1 when fixed), at least with probability 1."""
-        return self.joint_connectivity != "never"
+        """Assumption 2 of the paper (Assumption 1 when fixed); of a random topology with probability 1."""
+        return self.union.is_connected
 
     @property
     def shortest_dwell(self) -> float:
@@ -203,13 +194,6 @@ class RandomTopology(SwitchingTopology):
             raise ValueError("a random topology needs at least two graphs; use fixed() for one")
 
     @property
-    def joint_connectivity(self) -> JointConnectivity:
-        """Decided by the union of the pool, of which each graph comes infinitely often with probability 1."""
-        if not self.union.is_connected:
-            return "never"
-        return "always" if all(graph.is_connected for graph in self.graphs) else "almost surely"
-
-    @property
     def shortest_dwell(self) -> float:
         """The shortest dwell that can be drawn."""
         return self.shortest
@@ -254,9 +238,9 @@ class EpisodeTopology(SwitchingTopology):
         self.dwells = ()
 
     @property
-    def joint_connectivity(self) -> JointConnectivity:
-        """``always`` where every graph of the pool is connected, else ``never``: some episode does not connect."""
-        return "always" if all(graph.is_connected for graph in self.graphs) else "never"
+    def is_jointly_connected(self) -> bool:
+        """Whether every graph of the pool is connected, and so every episode."""
+        return all(graph.is_connected for graph in self.graphs)
 
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
         """The schedules of B episodes: the graph drawn by each generator at all ``instants`` (K,)."""

@@ -30,4 +30,4 @@ def test_without_a_similar_name_all_names_are_listed():
 
 
 def test_at_most_three_names_are_suggested():
-    assert unknown_name("law", "a", ["ab", "ac", "ad", "ae"]).endswith("did you mean 'ab', 'ac' or 'ad'?")
+    assert sum(name in unknown_name("law", "a", ["ab", "ac", "ad", "ae"]) for name in ("ab", "ac", "ad", "ae")) == 3

@@ -195,20 +195,13 @@ def test_random_graphs_are_uniform_over_connected_graphs():
 
 
 def test_joint_connectivity_of_every_kind_of_topology():
-    connected = [graphs.path(4), graphs.cycle(4)]
     apart = [graphs.from_edges(4, [(0, 1)]), graphs.from_edges(4, [(2, 3)])]
-    assert switching.fixed(graphs.path(4)).joint_connectivity == "always"
-    assert switching.fixed(apart[0]).joint_connectivity == "never"
-    assert SwitchingTopology(PAIRS, [1] * 3).joint_connectivity == "always"
-    assert SwitchingTopology(apart, [1, 1]).joint_connectivity == "never"
-    assert RandomTopology(PAIRS, 1.0).joint_connectivity == "almost surely"
-    assert RandomTopology(connected, 1.0).joint_connectivity == "always"
-    assert RandomTopology(apart, 1.0).joint_connectivity == "never"
-    assert switching.random_edges(graphs.cycle(4), 0.5, 1.0).joint_connectivity == "almost surely"
-    assert switching.random_edges(graphs.cycle(4), 1.0, 1.0, modes=2).joint_connectivity == "always"
-    assert switching.random_edges(graphs.cycle(4), 1e-9, 1.0).joint_connectivity == "never"
-    assert switching.random_graphs(4, 0.5).joint_connectivity == "always"
-    assert EpisodeTopology([graphs.path(4), apart[0]]).joint_connectivity == "never"
+    for topology in (SwitchingTopology(PAIRS, [1] * 3), RandomTopology(PAIRS, 1.0), switching.random_graphs(4, 0.5)):
+        assert topology.is_jointly_connected
+    pool = EpisodeTopology([graphs.path(4), apart[0]])
+    for topology in (switching.fixed(apart[0]), SwitchingTopology(apart, [1, 1]), RandomTopology(apart, 1.0), pool):
+        assert not topology.is_jointly_connected
+    assert not switching.random_edges(graphs.cycle(4), 1e-9, 1.0).is_jointly_connected
 
 
 def test_random_topology_has_no_schedule_without_a_draw():

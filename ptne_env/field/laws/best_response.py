@@ -28,8 +28,8 @@ LARGEST_ROW = 32
 
 
 def own_entries(array: FloatArray, places: IntArray) -> FloatArray:
-    """The entries of own components, (R, q) to (R, m), 0 where ``places`` (R, m) is padded with q."""
-    return np.where(places == array.shape[1], 0.0, np.take_along_axis(array, _inside(places, array), axis=1))
+    """The entries of own components, (..., q) to (..., m), 0 where ``places`` (..., m) is padded with q."""
+    return np.where(places == array.shape[-1], 0.0, np.take_along_axis(array, _inside(places, array), axis=-1))
 
 
 def own_block(rows: FloatArray, places: IntArray) -> FloatArray:

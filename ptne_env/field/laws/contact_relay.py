@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,8 @@ from ptne_env.field.laws.best_response import (
     within_reach,
 )
 from ptne_env.field.laws.identification import RESOLUTION, Model, blank, identify
-from ptne_env.field.laws.memory import Memory
-from ptne_env.laws.base import Law, per_step
+from ptne_env.field.laws.memory import RecordLaw
+from ptne_env.laws.base import per_step
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_positive, row_maxima
 
@@ -167,30 +167,7 @@ class Relayed(NamedTuple):
     unrest: Unrest
 
 
-def nothing_relayed(layout: ObservationLayout) -> Relayed:
-    """The memory of one relay at the start of an episode."""
-    none, messages = np.zeros((1, 1)), np.zeros((1, layout.slots, layout.dimension))
-    unrest = Unrest(none + UNLIMITED, none + UNLIMITED, none)
-    return Relayed(none, no_move(layout), contacts.no_contacts(layout), messages, none, unrest)
-
-
-def heard(
-    observation: Observation, was: Relayed, layout: ObservationLayout
-) -> tuple[contacts.Messages, FloatArray, BoolArray, contacts.Contacts]:
-    """The messages of this step, their noise σ_i (R, 1), the neighbours with fresher copies (R, D, n), and contacts.
-
-    The neighbours are those of :func:`~ptne_env.field.laws.contacts.contacts`, for which noise is no news.
-    """
-    is_own, leaders = layout.own_mask[observation.player], layout.neighbour_components[observation.player]
-    messages = contacts.heard_messages(observation, was.contacts.live, was.messages)
-    noise = contacts.noise_level(messages, was.noise, was.steps, leaders | is_own[:, None])
-    loudest = np.minimum(_ABOVE_NOISE * noise, _LOUDEST * largest(observation.own_estimate))
-    drift = np.where(is_own, 0.0, was.own.asked)
-    sources, met = contacts.contacts(observation, was.contacts, was.steps > 0, drift, leaders, loudest[:, :, None])
-    return messages, noise, sources, met
-
-
-class ContactRelay(Law):
+class ContactRelay(RecordLaw):
     """Best response from an identified model of the own gradient, and copies hop by hop.
 
     A component of another player moves by w_k × mean of (x^j_c − x^i_c) over the live sources j, which
@@ -217,21 +194,25 @@ class ContactRelay(Law):
         super().__init__(layout)
         self.patience = require_positive("patience", patience)
         self.forgetting = require_positive("forgetting", forgetting)
-        self._memory: Memory[Any] = Memory(nothing_relayed(layout))
-
-    def initial_memory(self, rows: int) -> FloatArray:
-        """Nothing identified, nothing heard; shape (R, size)."""
-        return self._memory.initial(rows)
+        none, messages = np.zeros((1, 1)), np.zeros((1, layout.slots, layout.dimension))
+        unrest = Unrest(none + UNLIMITED, none + UNLIMITED, none)
+        self.start = Relayed(none, no_move(layout), contacts.no_contacts(layout), messages, none, unrest)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        layout, was = self.layout, self._memory.unpack(memory)
-        messages, noise, sources, met = heard(observation, was, layout)
+        layout, was = self.layout, self.unpack(memory)
+        is_own, leaders = layout.own_mask[observation.player], layout.neighbour_components[observation.player]
+        # The neighbours with fresher copies, for which noise is no news.
+        messages = contacts.heard_messages(observation, was.contacts.live, was.messages)
+        noise = contacts.noise_level(messages, was.noise, was.steps, leaders | is_own[:, None])
+        loudest = np.minimum(_ABOVE_NOISE * noise, _LOUDEST * largest(observation.own_estimate))
+        drift = np.where(is_own, 0.0, was.own.asked)
+        sources, met = contacts.contacts(observation, was.contacts, was.steps > 0, drift, leaders, loudest[:, :, None])
         mean = contacts.copies(observation, sources)
         weight, unrest = copy_weight(messages, was.unrest, mean, self.patience, self.forgetting)
         broken = ((was.contacts.heard > 0) & ~messages.live).any(axis=1, keepdims=True)
         own = own_side(observation, was.own, was.steps, layout, broken.astype(np.float64))
-        drift = np.where(own.is_probe | layout.own_mask[observation.player], 0.0, weight * mean)
+        drift = np.where(own.is_probe | is_own, 0.0, weight * mean)
         displacement = with_own(drift, own.response(drift), own.blocks)
         last = own.remembered(observation, displacement, layout)
         fresh = Relayed(was.steps + 1, last, met, messages.content, noise, unrest)
-        return per_step(displacement, observation), self._memory.pack(fresh)
+        return per_step(displacement, observation), self.pack(fresh)

@@ -2,35 +2,35 @@
 
 from __future__ import annotations
 
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from ptne_env.laws.base import Law
 from ptne_env.shared.arrays import BoolArray, FloatArray
 
 Record = TypeVar("Record", bound=tuple[Any, ...])
 
 
-class Memory(Generic[Record]):
-    """Records of one kind as flat memories.
+class RecordLaw(Law):
+    """A law whose memory is a record. A subclass sets ``start`` when it is made.
 
-    Args:
+    Attributes:
         start: the record of one player at the start of an episode: a named tuple of arrays (1, ...) and of such tuples.
     """
 
-    def __init__(self, start: Record) -> None:
-        self._start, self._row = start, self.pack(start)
+    start: tuple[Any, ...]
 
-    def initial(self, rows: int) -> FloatArray:
-        """The memory of R = ``rows`` players at the start of an episode, shape (R, size)."""
-        return np.repeat(self._row, rows, axis=0)
+    def initial_memory(self, rows: int) -> FloatArray:
+        """The record of the start in every row, shape (R, size)."""
+        return np.repeat(self.pack(self.start), rows, axis=0)
 
-    def pack(self, record: Record) -> FloatArray:
+    def pack(self, record: tuple[Any, ...]) -> FloatArray:
         """The memory (R, size) that holds a record of R players; a new array."""
         parts = [np.asarray(part, dtype=np.float64) for part in _arrays(record)]
         return np.concatenate([part.reshape(len(part), part[:1].size) for part in parts], axis=1)
 
-    def unpack(self, memory: FloatArray) -> Record:
+    def unpack(self, memory: FloatArray) -> Any:
         """The inverse of :meth:`pack`; the arrays are views."""
         first = 0
 
@@ -42,7 +42,7 @@ class Memory(Generic[Record]):
             first += like.size
             return part
 
-        return taken(self._start)
+        return taken(self.start)
 
 
 def chosen(mask: BoolArray, fresh: Record, old: Record) -> Record:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from ptne_env.field.laws.best_response import LARGEST_ROW, largest, own_block, o
 from ptne_env.field.laws.contact_relay import LastMove, Own, no_move, own_side
 from ptne_env.field.laws.contacts import Contacts, contacts, heard_messages, no_contacts
 from ptne_env.field.laws.damping import Damping, damped, is_loose, tempered
-from ptne_env.field.laws.memory import Memory, chosen
-from ptne_env.laws.base import Law, per_step, step_length
+from ptne_env.field.laws.memory import RecordLaw, chosen
+from ptne_env.laws.base import per_step, step_length
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, fold
 
@@ -56,7 +56,7 @@ class State(NamedTuple):
     reckoned: FloatArray  # the own estimates by dead reckoning, in float64, shape (R, n)
 
 
-class ObserverRelay(Law):
+class ObserverRelay(RecordLaw):
     """:class:`~ptne_env.field.laws.ContactRelay` with observers of noise, rounding, lies and neighbours' reactions.
 
     Of each neighbour's messages a player keeps private means; those of sources, weighted by their variances, are its
@@ -84,7 +84,7 @@ class ObserverRelay(Law):
             raise ValueError(f"unknown rule {min(unknown)!r}; choose from {', '.join(RULES)}")
         self.without = tuple(without)
         none, own = np.zeros((1, 1)), np.zeros((1, layout.dimension))
-        start = State(
+        self.start = State(
             steps=none,
             own=no_move(layout),
             contacts=no_contacts(layout),
@@ -95,16 +95,11 @@ class ObserverRelay(Law):
             planes=reactions.no_planes(layout) if layout.dimension <= LARGEST_ROW else (),
             reckoned=own,
         )
-        self._memory: Memory[Any] = Memory(start)
-
-    def initial_memory(self, rows: int) -> FloatArray:
-        """Nothing identified, heard or observed; shape (R, size)."""
-        return self._memory.initial(rows)
 
     def inputs(  # noqa: PLR0915 - the whole law
         self, observation: Observation, memory: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        layout, was, without = self.layout, self._memory.unpack(memory), self.without
+        layout, was, without = self.layout, self.unpack(memory), self.without
         is_own, owners = layout.own_mask[observation.player], layout.neighbour_components[observation.player]
         estimate, steps = observation.own_estimate, was.steps
         scale, none, relative = largest(estimate), np.zeros_like(estimate), observation.relative_estimates
@@ -183,7 +178,7 @@ class ObserverRelay(Law):
         moved = (sent / step_length(observation)).astype(np.float32) * observation.theta
         last = own.remembered(observation, displacement, layout)
         fresh = State(steps + 1, last, met, filters_now, damping, doubt, broke, planes, here + moved)
-        return per_step(displacement, observation), self._memory.pack(fresh)
+        return per_step(displacement, observation), self.pack(fresh)
 
     def _doubt(self, own: Own, was: FloatArray, steps: FloatArray) -> FloatArray:
         """The recent error of predictions of the own gradient, as a displacement, shape (R, 1)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,8 @@ from ptne_env.field.laws.best_response import (
     with_own,
 )
 from ptne_env.field.laws.identification import RESOLUTION, Model, blank, identify
-from ptne_env.field.laws.memory import Memory
-from ptne_env.laws.base import Law, consensus, per_step
+from ptne_env.field.laws.memory import RecordLaw
+from ptne_env.laws.base import consensus, per_step
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 
@@ -35,7 +35,7 @@ class LastStep(NamedTuple):
     started: FloatArray  # whether there was a step before, shape (R, 1)
 
 
-class ProximalBestResponse(Law):
+class ProximalBestResponse(RecordLaw):
     """x^i_j ← ½ (x^i_j + x̂^i_j), x^i_i ← argmin_y J_i(y, new x^i_{-i}) + (‖y − x^i_i‖² + ‖y − x̂^i_i‖²)/(2α).
 
     With x̂^i = Σ_j w_ij x^j and W = I − h L. M. Bianchi, G. Belgioioso and S. Grammatico, "A fully-distributed
@@ -70,14 +70,10 @@ class ProximalBestResponse(Law):
         self.spread = require_positive("spread", spread)
         outputs, n, none = max(layout.action_dims), layout.dimension, np.zeros((1, 1))
         model = blank(1, outputs, n if n <= LARGEST_ROW else outputs, self.spread)
-        self._memory: Memory[Any] = Memory(LastStep(model, np.zeros((1, n)), np.zeros((1, outputs)), none, none))
-
-    def initial_memory(self, rows: int) -> FloatArray:
-        """A model of zeros with the standard deviation ``spread``, and nothing seen; shape (R, size)."""
-        return self._memory.initial(rows)
+        self.start = LastStep(model, np.zeros((1, n)), np.zeros((1, outputs)), none, none)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        layout, was = self.layout, self._memory.unpack(memory)
+        layout, was = self.layout, self.unpack(memory)
         estimate, is_own = observation.own_estimate, layout.own_mask[observation.player]
         blocks = layout.own_components[observation.player]
         gradient, is_whole = own_entries(observation.gradient, blocks), was.model.rows.shape[2] == layout.dimension
@@ -103,4 +99,4 @@ class ProximalBestResponse(Law):
         longest = np.where(was.started > 0, radius, UNLIMITED)
         displacement = with_own(drift, shortened(np.einsum("rab,rb->ra", vectors, along), longest), blocks)
         fresh = LastStep(model, estimate, gradient, radius, np.ones_like(radius))
-        return per_step(displacement, observation), self._memory.pack(fresh)
+        return per_step(displacement, observation), self.pack(fresh)

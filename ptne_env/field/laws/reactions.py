@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptne_env.field.laws.best_response import largest, own_block, with_own
+from ptne_env.field.laws.best_response import largest, own_block, own_entries, with_own
 from ptne_env.field.laws.contact_relay import Own
 from ptne_env.field.laws.contacts import Messages
 from ptne_env.field.laws.identification import Model, identify
@@ -91,7 +91,7 @@ def learned_planes(
     is_kept = is_sample | (is_rest & is_first)
 
     regressors = np.where(layout.own_mask[neighbours], 0.0, moved)
-    theirs = _entries(moved, layout.own_components[neighbours])
+    theirs = own_entries(moved, layout.own_components[neighbours])
     error = row_maxima(np.abs(theirs - np.einsum("rdmn,rdn->rdm", was.slopes, regressors)))
     is_known = messages.live & is_warm & (was.samples >= _PLANE_SAMPLES)
     fresh = was._replace(
@@ -149,12 +149,6 @@ def _is_dominant(own: Own) -> BoolArray:
     diagonal = np.take_along_axis(size, places[:, :, None], axis=2)[:, :, 0]
     is_padding = own.blocks == own.model.rows.shape[2]
     return np.asarray((is_padding | (size.sum(axis=2) < 2 * diagonal)).all(axis=1, keepdims=True))
-
-
-def _entries(array: FloatArray, blocks: IntArray) -> FloatArray:
-    """The entries of ``array`` (R, D, n) in the places ``blocks`` (R, D, m), 0 where padded with n."""
-    n = array.shape[2]
-    return np.where(blocks == n, 0.0, np.take_along_axis(array, np.minimum(blocks, n - 1), axis=2))
 
 
 def _joint(

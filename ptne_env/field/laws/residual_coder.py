@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ptne_env.field.laws.memory import Memory
+from ptne_env.field.laws.memory import RecordLaw
 from ptne_env.field.laws.observer_relay import ObserverRelay
-from ptne_env.laws.base import Law, per_step
+from ptne_env.laws.base import per_step
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray
 
@@ -46,7 +46,7 @@ class State(NamedTuple):
     relay: FloatArray  # the memory of observer-relay, shape (R, size)
 
 
-class ResidualCoder(Law):
+class ResidualCoder(RecordLaw):
     """:class:`~ptne_env.field.laws.ObserverRelay` among players who tell each other small digits, made large.
 
     A round has two steps. In the first the estimates are z, in the second A (z mod g), which fills the range: who knows
@@ -78,7 +78,7 @@ class ResidualCoder(Law):
         talks = first * _FEWEST * self.begin <= 1 and 2 * dims <= layout.dimension
         none, estimates = np.zeros((1, 1)), np.zeros((1, layout.dimension))
         messages = np.zeros((1, layout.slots, layout.dimension))
-        start = State(
+        self.start = State(
             steps=none,
             alone=none + (np.inf if talks else 0.0),
             error=none - 1,
@@ -90,14 +90,9 @@ class ResidualCoder(Law):
             heard=messages,
             relay=self.relay.initial_memory(1),
         )
-        self._memory: Memory[Any] = Memory(start)
-
-    def initial_memory(self, rows: int) -> FloatArray:
-        """Nothing heard; shape (R, size)."""
-        return self._memory.initial(rows)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        was, estimate = self._memory.unpack(memory), observation.own_estimate
+        was, estimate = self.unpack(memory), observation.own_estimate
         talks, opens, rounds = np.isinf(was.alone), was.steps % 2 == 0, was.steps // 2
         content, arrives = estimate[:, None] + observation.relative_estimates, observation.weights > 0
         now = was._replace(
@@ -132,7 +127,7 @@ class ResidualCoder(Law):
         inputs = np.where(follows, relayed, per_step(sent - estimate, observation))
         relay = np.where(follows | moves, relay, was.relay)
         fresh = now._replace(steps=was.steps + 1, alone=alone, sent=sent, meant=meant, relay=relay)
-        return inputs, self._memory.pack(fresh)
+        return inputs, self.pack(fresh)
 
     def _places(self, players: IntArray, rounds: FloatArray, is_fine: BoolArray) -> IntArray:
         """The component that each place of players' code tells, -1 at own places; (...) and (..., 1) to (..., n)."""

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ptne_env.field.laws.best_response import largest, within_reach
 from ptne_env.field.laws.contacts import Contacts, contacts, copies, no_contacts
 from ptne_env.field.laws.identification import RESOLUTION
-from ptne_env.field.laws.memory import Memory
-from ptne_env.laws.base import Law, per_step
+from ptne_env.field.laws.memory import RecordLaw
+from ptne_env.laws.base import per_step
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 
@@ -29,7 +29,7 @@ class Routes(NamedTuple):
     curvature: FloatArray  # L, shape (R, 1)
 
 
-class RoutedUnknown(Law):
+class RoutedUnknown(RecordLaw):
     """x^i_c ← mean of x^j_c over the live sources j of c, else x^i_c, and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i).
 
     A player has no source of its own components; own links show the others' sources,
@@ -50,16 +50,12 @@ class RoutedUnknown(Law):
 
     def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
         super().__init__(layout)
-        self.step = require_positive("step", step)
         each, none = np.zeros((1, layout.dimension)), np.zeros((1, 1))
-        self._memory: Memory[Any] = Memory(Routes(no_contacts(layout), each, none, each, none, none))
-
-    def initial_memory(self, rows: int) -> FloatArray:
-        """No contact and no step done, shape (R, size)."""
-        return self._memory.initial(rows)
+        self.start = Routes(no_contacts(layout), each, none, each, none, none)
+        self.step = require_positive("step", step)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        was, player = self._memory.unpack(memory), observation.player
+        was, player = self.unpack(memory), observation.player
         leaders, is_own = self.layout.neighbour_components[player], self.layout.own_mask[player]
         sources, fresh = contacts(observation, was.contacts, was.steps > 0, was.drift, leaders)
         drift = copies(observation, sources & ~is_own[:, None])
@@ -72,4 +68,4 @@ class RoutedUnknown(Law):
         moved = np.where(largest(own) > largest(drift), largest(own), 0.0) * observation.unit
         asked = within_reach(drift, observation, self.layout)
         routes = Routes(fresh, asked, was.steps + 1, gradient, moved, curvature)
-        return per_step(drift - own, observation), self._memory.pack(routes)
+        return per_step(drift - own, observation), self.pack(routes)

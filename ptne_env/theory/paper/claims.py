@@ -17,11 +17,7 @@ from ptne_env.shared.arrays import FloatArray
 from ptne_env.theory import LemmaViolationError, check_time_transformation, closed_loop_matrix, spectral_abscissa
 from ptne_env.theory.paper.continuous import Run, prescribed_timeline, simulate
 from ptne_env.theory.paper.experiments import DEADLINE, GAIN, KAPPA, Experiments
-from ptne_env.world.clock import (
-    Exponential,
-    HyperbolicTangent,
-    Rational,
-)
+from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational
 from ptne_env.world.graphs import complete, cycle, path, star
 from ptne_env.world.switching import TopologyClock, paper_topology
 
@@ -151,7 +147,7 @@ def theorem_1(experiments: Experiments) -> Iterator[Claim]:
 
 def theorem_2(experiments: Experiments) -> Iterator[Claim]:
     """Theorem 2: the equilibrium is held and u is bounded; whether u is C¹, and the plant's input g u, near T."""
-    run = experiments.static_exact
+    run = experiments.static
     k = run.timeline.deadline_index
     distance = run.estimate_distance
     inputs = np.linalg.norm(run.errors.reshape(len(distance), -1) @ experiments.loop_matrix(KAPPA).T, axis=1)
@@ -173,14 +169,10 @@ def theorem_2(experiments: Experiments) -> Iterator[Claim]:
         f"largest ‖u‖ {peak:.4g} at t = 0; ‖u‖ ~ (T−t)^{exponents['input']:.3f}",
         exponent=exponents["input"],
     )
+    bounded = "the input of Problem 1, which is the velocity g(t) u, is bounded"
     for name, statement, symbol, quantity in (
         ("smoothness of u", "u is C¹ on [0, ∞)", "du/dt", "input_derivative"),
-        (
-            "boundedness of the plant's input",
-            "the input of Problem 1, which is the velocity g(t) u, is bounded",
-            "g u",
-            "velocity",
-        ),
+        ("boundedness of the plant's input", bounded, "g u", "velocity"),
     ):
         yield decided(
             f"Theorem 2, {name}",
