@@ -121,6 +121,8 @@ class PolicySpec:
                 built = source.build(layout=layout)
             elif isinstance(source, type) or not hasattr(source, "predict"):
                 built = source(layout)
+            if hasattr(built, "with_layout"):  # one object plays many worlds
+                built = built.with_layout(layout)
             if hasattr(built, "require"):
                 built.require(layout)
         except (LayoutError, MemoryError):

@@ -263,15 +263,15 @@ class RecurrentPolicy:
         self.name, self.weights, self.training = name, weights, dict(training)
         self._layout = layout
 
-    def require(self, layout: ObservationLayout) -> None:
-        """Check that the policy can act in an environment of this layout, and take that.
+    def with_layout(self, layout: ObservationLayout) -> RecurrentPolicy:
+        """The same policy for an environment of this layout.
 
         Raises:
             PolicyLayoutError: when the layout has another interface.
         """
         if layout.interface != self.interface:
             raise PolicyLayoutError(f"policy {self.name!r} acts through {self.interface}, not {layout.interface}")
-        self._layout = layout
+        return RecurrentPolicy(self.name, self.weights, layout, self.training)
 
     def predict(
         self,
@@ -312,7 +312,7 @@ def sealed(weights: Weights, training: Mapping[str, Any]) -> bytes:
     description = {"version": _VERSION, "sha256": _digest(arrays, training), "training": dict(training)}
     arrays[_METADATA] = np.frombuffer(json.dumps(description).encode(), dtype=np.uint8)
     buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]  # its stubs want allow_pickle among them
     return buffer.getvalue()
 
 

@@ -20,9 +20,8 @@ def opened(content=CONTENT):
 
 @pytest.mark.parametrize("scenario", ["random-energy-switching", "robots", "oligopoly"])
 def test_one_file_plays_worlds_of_any_size_and_its_episodes_start_afresh(scenario):
-    env, policy = ptne_env.parallel_env(scenario, interface="physical"), opened()
-    observations, _ = env.reset(seed=0)
-    policy.require(env.layout)
+    env = ptne_env.parallel_env(scenario, interface="physical")
+    policy, (observations, _) = opened().with_layout(env.layout), env.reset(seed=0)
     actions, memory = policy.predict(np.stack(list(observations.values())))
     assert actions.shape == (env.layout.num_players, env.layout.dimension)
     observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
@@ -32,6 +31,14 @@ def test_one_file_plays_worlds_of_any_size_and_its_episodes_start_afresh(scenari
     np.testing.assert_array_equal(mixed[1:], going_on[1:])
     np.testing.assert_array_equal(mixed[0], policy.predict(second[0])[0])
     assert (mixed[0] != going_on[0]).any()
+
+
+def test_a_loaded_policy_has_the_digits_of_its_file_in_every_world(tmp_path):
+    (tmp_path / "file.npz").write_bytes(CONTENT)
+    specs = [ptne_env.PolicySpec("object", opened()), ptne_env.evaluation.get_policy_spec(str(tmp_path / "file.npz"))]
+    found = ptne_env.evaluate(specs, ["random-energy", "random-energy-switching"], episodes=2).samples
+    for world in ("random-energy", "random-energy-switching"):
+        np.testing.assert_array_equal(found[world, "object"]["digits"], found[world, "file"]["digits"])
 
 
 def test_a_file_with_a_damaged_byte_is_refused_or_plays_the_same():
@@ -77,4 +84,4 @@ def test_a_policy_without_a_layout_or_with_another_interface_says_so():
     with pytest.raises(PolicyFileError, match=r"without a layout.*load\(path, env.layout\)"):
         opened().predict(np.zeros(3, dtype=np.float32))
     with pytest.raises(PolicyLayoutError, match="acts through"):
-        opened().require(ptne_env.parallel_env("energy").layout)
+        opened().with_layout(ptne_env.parallel_env("energy").layout)
