@@ -8,7 +8,7 @@ from typing import Any
 
 from ptne_env.evaluation.entries import POLICIES, PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet, Split
-from ptne_env.evaluation.tracks import Track, named_scenario
+from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import require_count, require_printable
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import resolve
@@ -133,8 +133,6 @@ def find_scenario(name: str) -> Scenario:
                 f"ptne compare {name} and run_suite play it"
             )
         return found.scenario
-    if ":" in name:
-        return named_scenario(name)
-    if name not in CATALOGUE:
+    if ":" not in name and name not in CATALOGUE:
         raise ValueError(unknown_name("scenario", name, world_names()))
     return get_scenario(name)

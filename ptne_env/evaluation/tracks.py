@@ -11,7 +11,7 @@ from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.rollout import Member
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.arrays import require_count, require_flag, require_printable
-from ptne_env.shared.parts import FactorySpec, resolve
+from ptne_env.shared.parts import FactorySpec
 from ptne_env.world.catalogue import get_scenario
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
@@ -124,26 +124,11 @@ def compared_track(scenario: str | Scenario | Track) -> Track:
     """
     if isinstance(scenario, Track):
         return scenario
-    if isinstance(scenario, str) and ":" in scenario:
-        scenario = named_scenario(scenario)
     scenario = get_scenario(scenario)
     track = Track(scenario.name, scenario, "Random episodes.")
     if track.world.is_random:
         return track
     return Track(scenario.name, scenario, "One episode, because nothing is random.", episodes=1)
-
-
-def named_scenario(target: str) -> Scenario:
-    """The scenario that a ``"module:object"`` is or makes.
-
-    Raises:
-        ValueError: when it is something else.
-    """
-    found = resolve(target)
-    made = found() if callable(found) else found
-    if not isinstance(made, Scenario):
-        raise ValueError(f"{target!r} is a {type(made).__name__}, not a Scenario")
-    return made
 
 
 def compared_tracks(scenarios: Iterable[str | Scenario | Track]) -> tuple[Track, ...]:

@@ -28,6 +28,9 @@ from ptne_env.world.world import RANGE_LIMIT, SHORTFALL_WARNING, World
 _MOST_DIGITS = 308.0
 """Digits are clipped to ± this number, so that a certificate holds no infinity."""
 
+_ROUNDINGS = 4
+"""Draws of the rounding of the start."""
+
 _TOLERANCE = 5e-4
 """By how much the digits of an episode may differ from exact ones."""
 
@@ -223,12 +226,14 @@ class _Prediction:
             yield "the topology is random: no rate, and digits of one draw, with seed 0"
 
     def _is_rounded(self, path: FloatArray) -> bool:
-        """Whether rounding may change the digits at T."""
-        game = self.world.game
-        at_rest = np.repeat(game.nash_equilibria[:, None], game.num_players, axis=1)
-        residual = float(np.abs(game.own_gradients(at_rest)).max())
-        moved = 2 * self.loop.rounding(path, np.tile(game.nash_equilibrium, game.num_players), residual)
-        ends = distance(np.concatenate([path[-1:], path[-1] - moved, path[-1] + moved]), game)
+        """Whether rounding to float32 may change the digits at T: a start that is moved by more changes them.
+
+        A loop that damps the error of the start fast, and other errors slowly, ends where rounding leaves it.
+        """
+        start = path[0]
+        size = 2.0**-20 * np.abs(start).max()
+        moves = np.random.default_rng(0).uniform(-size, size, (_ROUNDINGS, start.size))
+        ends = distance(np.array([path[-1], *(self.loop.errors(start + move)[-1] for move in moves)]), self.world.game)
         return not np.ptp(distances.digits(ends)) <= _TOLERANCE  # also where they overflow
 
     @property

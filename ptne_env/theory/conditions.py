@@ -15,15 +15,8 @@ from functools import singledispatch
 
 import numpy as np
 
-from ptne_env.field.laws import (
-    ContactRelay,
-    ObserverRelay,
-    ProjectedGradient,
-    ProximalBestResponse,
-    ResidualCoder,
-    RoutedUnknown,
-)
-from ptne_env.laws import Adaptive, AdaptiveGrounded, CorollaryOne, Grounded, Law, Static
+from ptne_env.field.laws import ContactRelay, ProjectedGradient, ProximalBestResponse, RoutedUnknown
+from ptne_env.laws import Adaptive, AdaptiveGrounded, Grounded, Law, Static
 from ptne_env.shared.arrays import FloatArray, IntArray
 from ptne_env.theory.closed_loop import last_modes
 from ptne_env.theory.constants import (
@@ -155,14 +148,11 @@ def _gain_condition(kappa: float, constants: ProblemConstants) -> Condition:
 
 @condition.register
 def static_condition(law: Static, constants: ProblemConstants) -> Condition:
-    """κ > (ι²/ε + ι)/λ2, eq. (15) of the paper, for scaled costs with κ divided by the gradient gain."""
+    """κ > (ι²/ε + ι)/λ2, eq. (15) of the paper, for scaled costs with κ divided by the gradient gain.
+
+    Of Corollary 1 too, whose convergence is asymptotic, not by the deadline.
+    """
     return _gain_condition(law.kappa / law.gradient_gain, constants)
-
-
-@condition.register
-def corollary_one_condition(law: CorollaryOne, constants: ProblemConstants) -> Condition:
-    """κ > (ι²/ε + ι)/λ2, eq. (15) of the paper; convergence is asymptotic, not by the deadline."""
-    return _gain_condition(law.kappa, constants)
 
 
 @condition.register
@@ -276,8 +266,3 @@ def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition
         _all_links_recur(constants),
         Condition.below("ρ(B) < 1, B_ij = ‖G_ii⁻¹ G_ij‖", radius, 1.0, exact=constants.exact),
     )
-
-
-@condition.register
-def observer_relay_condition(law: ObserverRelay | ResidualCoder, constants: ProblemConstants) -> None:
-    """No theorem: what it follows depends on what it observes, and it extrapolates its own gradient."""

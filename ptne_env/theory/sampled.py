@@ -24,9 +24,6 @@ from ptne_env.theory.closed_loop import (
 )
 from ptne_env.world.world import World
 
-_ROUNDINGS = 4
-"""Draws of the rounding of inputs."""
-
 _OVERFLOW = 1e150
 """A loop whose error exceeds this has diverged; its squares would overflow."""
 
@@ -78,28 +75,6 @@ class SampledLoop:
                 result[k + 1] = np.inf
                 break
         return result
-
-    def rounding(self, path: FloatArray, equilibrium: FloatArray, residual: float) -> FloatArray:
-        """By how much rounding moves the error at T, in a few random draws.
-
-        Gradients, differences and inputs are float32, and estimates float64. So in a step the input −M e is off by up
-        to |M| (2⁻²⁴ |e| + 2⁻⁵¹ |x|) and the residual, and the loop carries that on. A loop that damps the error of the
-        start fast, and other errors slowly, ends where rounding leaves it.
-
-        Args:
-            path: errors without rounding, finite, as of :meth:`errors`.
-            equilibrium: 1⊗x*, shape (Nn,).
-            residual: the largest own gradient at x*, which is 0 but for its own rounding.
-
-        Returns:
-            Shape (draws, Nn).
-        """
-        generator, sizes = np.random.default_rng(0), [np.abs(matrix) for matrix in self.matrices]
-        moved = np.zeros((path.shape[1], _ROUNDINGS))
-        for error, mode, step in zip(path, self.modes, self.steps, strict=False):
-            size = sizes[mode] @ (2.0**-24 * np.abs(error) + 2.0**-51 * np.abs(error + equilibrium)) + residual
-            moved += step * (generator.uniform(-1, 1, moved.shape) * size[:, None] - self.matrices[mode] @ moved)
-        return moved.T
 
 
 def sampled_loop(world: World, law: Law) -> SampledLoop:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ptne_env.shared.names import unknown_name
-from ptne_env.shared.parts import FactorySpec
+from ptne_env.shared.parts import FactorySpec, resolve
 from ptne_env.world.scenario import Scenario
 
 _SCENARIOS: dict[str, tuple[Scenario, str]] = {}
@@ -86,7 +86,8 @@ def get_scenario(scenario: str | Scenario, *, players: int | None = None, **over
     """A scenario by name (or as it is), with some fields changed: ``get_scenario("energy", start="random")``.
 
     Args:
-        scenario: a name of the catalogue, or a scenario.
+        scenario: a name of the catalogue, a ``"module:object"`` that is a scenario or a function that makes one, or a
+            scenario.
         players: N of its game and of its topology, where both have the parameter ``players``, as ``random-energy`` on
             a cycle has.
         **overrides: the fields that change.
@@ -96,6 +97,12 @@ def get_scenario(scenario: str | Scenario, *, players: int | None = None, **over
         ValueError: for an unknown name or field, or another number of ``players`` where a part has a fixed size.
     """
     if isinstance(scenario, str):
+        if ":" in scenario:
+            target, found = scenario, resolve(scenario)
+            scenario = found() if callable(found) else found
+            if not isinstance(scenario, Scenario):
+                raise ValueError(f"{target!r} is a {type(scenario).__name__}, not a Scenario")
+            return get_scenario(scenario, players=players, **overrides)
         if scenario not in CATALOGUE:
             suite, separator, track = scenario.partition("/")
             if track.removesuffix("-v0") in CATALOGUE:

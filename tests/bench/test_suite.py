@@ -114,5 +114,5 @@ def test_every_policy_runs_on_every_track_of_ptne_v1_or_has_a_reason():
     for samples in results.samples.values():
         assert np.isfinite(samples["digits"]).all()
     refused = {policy for _, policy in results.not_applicable}
-    assert refused == {name for name, spec in POLICIES.items() if spec.files}
+    assert refused == {name for name in POLICIES if name.startswith("ppo-")}
     assert len(results.samples) + len(results.not_applicable) == len(suite.tracks) * len(POLICIES)

@@ -11,7 +11,7 @@ import ptne_env
 from ptne_env import FactorySpec, Interface, Scenario, laws
 from ptne_env.evaluation import EpisodeSet, Teammates, Track, rollout
 from ptne_env.evaluation.rollout import Member
-from ptne_env.evaluation.tracks import compared_tracks, named_scenario
+from ptne_env.evaluation.tracks import compared_tracks
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.world.world import World
 
@@ -78,9 +78,9 @@ def test_a_scenario_is_found_by_address(monkeypatch):
     monkeypatch.setitem(sys.modules, "mine", mine := ModuleType("mine"))
     mine.scenario, mine.number = BASE, 5
     mine.make = lambda: BASE
-    assert named_scenario("mine:scenario") == named_scenario("mine:make") == BASE
+    assert ptne_env.get_scenario("mine:scenario") == ptne_env.get_scenario("mine:make") == BASE
     with pytest.raises(ValueError, match="'mine:number' is a int, not a Scenario"):
-        named_scenario("mine:number")
+        ptne_env.get_scenario("mine:number")
     assert [track.name for track in compared_tracks(["mine:scenario", "energy"])] == [BASE.name, "energy"]
 
 
