@@ -80,6 +80,7 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     Attributes:
         parallel: the wrapped environment.
+        layout: of each player's part of observations and actions.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium declares it so
@@ -91,15 +92,11 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
         self, scenario: str | Scenario = "energy", *, render_mode: str | None = None, **arguments: Any
     ) -> None:
         self.parallel = NashSeekingEnv(scenario, render_mode=render_mode, **arguments)
+        self.layout: ObservationLayout = self.parallel.layout
         self.render_mode = render_mode
         players = len(self.parallel.possible_agents)
         self.observation_space = _tiled(self.layout.observation_space(), players)
         self.action_space = _tiled(self.layout.action_space(), players)
-
-    @property
-    def layout(self) -> ObservationLayout:
-        """The layout of each player's part of observations and actions."""
-        return self.parallel.layout
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -153,6 +150,7 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
 
     Attributes:
         vector: the wrapped environments.
+        layout: of each player's part of observations and actions.
     """
 
     def __init__(
@@ -172,6 +170,7 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**JointEnv.metadata, "render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
+        self.layout: ObservationLayout = self.vector.layout
         self.num_envs = self.vector.num_envs
         self.render_mode = None
         players = self.vector.num_players
@@ -180,11 +179,6 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
-
-    @property
-    def layout(self) -> ObservationLayout:
-        """The layout of each player's part of observations and actions."""
-        return self.vector.layout
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

@@ -58,6 +58,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     Attributes:
         scenario: the physics.
         world: the scenario, built.
+        layout: of observations and actions; laws and learned policies are built from it.
         render_mode: as given.
         state_space: of :meth:`state`, a float32 Box.
 
@@ -94,6 +95,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self.render_mode = render_mode
         self.world = World(self.scenario)
         encoder = player_encoder(self.world, interface)
+        self.layout: ObservationLayout = encoder.layout
         self._simulation = Simulation(encoder, reward=reward, max_cycles=max_cycles)
         self.possible_agents = [f"player_{index}" for index in range(self.world.game.num_players)]
         self.agents: list[str] = []
@@ -111,11 +113,6 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles have no table of observations: its rows, which are views, would become separate arrays."""
         return {**self.__dict__, "_table": None}
-
-    @property
-    def layout(self) -> ObservationLayout:
-        """The layout of observations and actions; laws and learned policies are built from it."""
-        return self._simulation.encoder.layout
 
     @property
     def np_random(self) -> np.random.Generator:
