@@ -11,14 +11,7 @@ from gymnasium import spaces
 from numpy.ma import MaskedArray
 from pettingzoo import ParallelEnv
 
-from ptne_env.envs.simulation import (
-    Simulation,
-    changed_scenario,
-    initial_estimates,
-    player_encoder,
-    require_cycles,
-    require_options,
-)
+from ptne_env.envs.simulation import Simulation, changed_scenario, initial_estimates, player_encoder, require_options
 from ptne_env.perception.encoder import NonFiniteActionError
 from ptne_env.perception.observation import OBSERVATION_BOUND, Interface, InterfaceKind, ObservationLayout
 from ptne_env.shared.arrays import Float32Array, FloatArray
@@ -128,7 +121,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     @max_cycles.setter
     def max_cycles(self, value: int | None) -> None:
-        self._simulation.max_cycles = require_cycles(value)
+        self._simulation.max_cycles = value
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The agent's own Box, the same object on every call."""

@@ -97,11 +97,6 @@ def player_encoder(world: World, interface: InterfaceKind | Interface) -> Encode
     return make_encoder(world, interface)
 
 
-def require_cycles(value: int | None) -> int | None:
-    """Return ``max_cycles``, or raise ``ValueError`` when it is neither ``None`` nor a count."""
-    return None if value is None else require_count("max_cycles", value, 1)
-
-
 def require_options(options: Any, *known: str) -> Mapping[str, Any]:
     """The options of a reset: a dictionary with ``known`` keys, and perhaps ``options``, which is ignored.
 
@@ -152,7 +147,6 @@ class Simulation:
     Attributes:
         encoder: as given.
         world: of the encoder.
-        max_cycles: as given; may be set at any time.
         num_envs: B.
         reward_names: the names of the reward terms in infos.
 
@@ -170,13 +164,22 @@ class Simulation:
     ) -> None:
         self.encoder, self.world = encoder, encoder.world
         self.num_envs = require_count("num_envs", num_envs, 1)
-        self.max_cycles = require_cycles(max_cycles)
+        self.max_cycles = max_cycles
         self._reward = Reward(self.world, reward)
         self.reward_names = [f"reward_{name}" for name in self._reward.weights]
         self._never = np.zeros(self.num_envs, dtype=np.bool_)
         self._never.flags.writeable = False
         self._streams: list[RandomStreams] = []
         self.state: State | None = None
+
+    @property
+    def max_cycles(self) -> int | None:
+        """As given; may be set at any time."""
+        return self._max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self._max_cycles = None if value is None else require_count("max_cycles", value, 1)
 
     @property
     def current(self) -> State:
@@ -251,7 +254,7 @@ class Simulation:
         self.state = state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
         terms = self._reward.step(state)
         terminated, diverged = dynamics.is_over(self.world, state), state.diverged
-        truncated = self._never if self.max_cycles is None else ~terminated & (state.step >= self.max_cycles)
+        truncated = self._never if self._max_cycles is None else ~terminated & (state.step >= self._max_cycles)
         if restart is not None:
             self.begin(restart)
             moves = ~restart.mask

@@ -9,14 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from ptne_env.envs.simulation import (
-    Simulation,
-    Start,
-    changed_scenario,
-    initial_estimates,
-    player_encoder,
-    require_cycles,
-)
+from ptne_env.envs.simulation import Simulation, Start, changed_scenario, initial_estimates, player_encoder
 from ptne_env.perception.observation import Interface, InterfaceKind, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain, require_count, require_mask
 from ptne_env.shared.random_streams import require_seed
@@ -114,7 +107,7 @@ class VectorParallelEnv:
     @max_cycles.setter
     def max_cycles(self, value: int | None) -> None:
         for block in self._blocks:
-            block.max_cycles = require_cycles(value)
+            block.max_cycles = value
 
     def reset(
         self,
