@@ -1,8 +1,8 @@
 """Reproduce the paper: Table I, every figure, and a measured verdict on every claim and erratum.
 
 ``python baselines/reproduce.py`` simulates the laws in continuous time, with the matrix exponential as the exact
-reference where the game is affine. It prints the tables, and writes the figures, ``results.json`` and the page
-``index.html`` to the folder ``--out``. It takes about a minute.
+reference where the game is affine. It prints the tables, and writes the figures and ``results.json`` to the folder
+``--out``. It takes about a minute.
 """
 
 from __future__ import annotations
@@ -10,11 +10,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ptne_env.bench.report.paper import paper_page, paper_tables
+from ptne_env.bench.report.paper import paper_tables
 from ptne_env.bench.report.reproduction import reproduce
 from ptne_env.bench.report.terminal import show
 from ptne_env.cli.console import console, progress
-from ptne_env.shared.files import write_atomically
 
 
 def main() -> None:
@@ -24,12 +23,10 @@ def main() -> None:
     out = parser.parse_args().out
     with progress("reproducing") as advance:
         reproduction = reproduce(out, progress=advance)
-    write_atomically(out / "index.html", paper_page(reproduction, f"python baselines/reproduce.py --out {out}"))
     screen = console()
     for table in paper_tables(reproduction):
         screen.print(show(table, screen.width))
     print(f"{len(reproduction.figures)} figures and results.json written to {out}")
-    print(f"Report written to {out / 'index.html'}: open it in a browser")
 
 
 if __name__ == "__main__":

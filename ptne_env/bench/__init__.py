@@ -1,7 +1,7 @@
 """Benchmarks.
 
 - ``suite``, ``ptne_v1``: what a suite is, and ours; ``leaderboard``: scores and ranks in it
-- ``run``, ``workers``, ``processes``: many jobs on cores or machines; ``store``: what is done is not run again
+- ``run``, ``workers``: many jobs on cores or machines; ``store``: what is done is not run again
 - ``files``, ``verification``: results in files, and whether they can be believed
 - ``report``: tables, pages and videos
 """

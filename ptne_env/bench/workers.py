@@ -6,6 +6,8 @@ import os
 import signal
 import socket
 import tempfile
+import threading
+import time
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
@@ -15,13 +17,15 @@ from multiprocessing.resource_tracker import ensure_running
 from pickle import PicklingError
 from typing import Any, TypeVar
 
-from ptne_env.bench.processes import end_with_parent
 from ptne_env.shared.arrays import require_count
 
 Result = TypeVar("Result")
 
 RETRIES = 3
 """How often Ray runs a task again whose worker or machine died."""
+
+_PERIOD = 0.5
+"""Seconds between two looks at the parent."""
 
 _LOST = "a worker process died, often for lack of memory (fewer jobs need less); stored results are kept"
 
@@ -82,7 +86,7 @@ def _on_processes(
         return_as="generator_unordered",
         batch_size=1,
         backend="loky",
-        initializer=end_with_parent,
+        initializer=_end_with_parent,
         initargs=(os.getpid(),),
         max_nbytes=None,  # joblib makes no folders for large arrays then, which stay behind when processes are killed
         temp_folder=tempfile.gettempdir(),
@@ -103,6 +107,22 @@ def _on_processes(
             f"a class or function of this program or notebook cannot be sent to other processes ({reason}): define "
             "it in a module, or run one job at a time"
         ) from error
+
+
+def _end_with_parent(parent: int) -> None:
+    """End this new process soon after its parent, by id, is gone, and leave Ctrl-C to the parent.
+
+    A parent that is killed cannot end its processes itself. On Windows the id of the parent stays, and so does this
+    process.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+
+
+def _watch(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(_PERIOD)
+    os._exit(1)
 
 
 def _end(results: Generator[Any, None, None]) -> None:

@@ -1,14 +1,14 @@
-"""Reference policies for the lower end of every table: no input, and random actions."""
+"""Reference policies for the ends of every table: no input, random actions, and an oracle."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.laws.base import Law
-from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.laws.base import Law, per_step
+from ptne_env.perception.observation import Interface, Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, require_count
 from ptne_env.shared.counter_random import uniforms
 
@@ -18,6 +18,20 @@ class ZeroInput(Law):
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
         return np.zeros_like(observation.gradient), memory
+
+
+class Oracle(Law):
+    """u^i = (x* − x^i)/Θ: every player knows the game, and moves its estimate to the equilibrium within one step.
+
+    The input limit stays, and binds where it is small. The law needs the interface ``full``, which ``parallel_env``
+    refuses, and every table marks it.
+    """
+
+    needs_full_information: ClassVar[bool] = True
+    interface: ClassVar[Interface] = Interface("full")
+
+    def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
+        return per_step(observation.relative_equilibrium, observation), memory
 
 
 class RandomPolicy:

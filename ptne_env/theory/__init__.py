@@ -17,14 +17,14 @@ from ptne_env.theory.closed_loop import decay_rate as decay_rate
 from ptne_env.theory.closed_loop import gain_growth as gain_growth
 from ptne_env.theory.closed_loop import largest_stable_step as largest_stable_step
 from ptne_env.theory.closed_loop import law_matrix as law_matrix
+from ptne_env.theory.closed_loop import sampled_loop as sampled_loop
 from ptne_env.theory.closed_loop import spectral_abscissa as spectral_abscissa
 from ptne_env.theory.conditions import Condition as Condition
 from ptne_env.theory.conditions import ProblemConstants as ProblemConstants
 from ptne_env.theory.conditions import condition as condition
+from ptne_env.theory.conditions import coupling_radius as coupling_radius
 from ptne_env.theory.conditions import problem_constants as problem_constants
 from ptne_env.theory.constants import MonotonicityConstants as MonotonicityConstants
 from ptne_env.theory.constants import gain_bound as gain_bound
 from ptne_env.theory.constants import monotonicity_constants as monotonicity_constants
 from ptne_env.theory.constants import proof_matrix as proof_matrix
-from ptne_env.theory.delayed_play import coupling_radius as coupling_radius
-from ptne_env.theory.sampled import sampled_loop as sampled_loop

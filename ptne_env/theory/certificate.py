@@ -17,9 +17,17 @@ from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.theory.assumptions import AssumptionCheck, check_assumptions
-from ptne_env.theory.closed_loop import LoopClock, NoClosedLoopError, decay_rate, gain_growth
+from ptne_env.theory.closed_loop import (
+    LoopClock,
+    NoClosedLoopError,
+    SampledLoop,
+    decay_rate,
+    distance,
+    gain_growth,
+    sampled_loop,
+    start_error,
+)
 from ptne_env.theory.conditions import Condition, condition, problem_constants
-from ptne_env.theory.sampled import SampledLoop, distance, sampled_loop, start_error
 from ptne_env.world import distances
 from ptne_env.world.channel import Chain
 from ptne_env.world.scenario import Scenario

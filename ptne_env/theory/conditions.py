@@ -14,18 +14,19 @@ from dataclasses import dataclass
 from functools import singledispatch
 
 import numpy as np
+from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.field.laws import ContactRelay, ProjectedGradient, ProximalBestResponse, RoutedUnknown
 from ptne_env.laws import Adaptive, AdaptiveGrounded, Grounded, Law, Static
 from ptne_env.shared.arrays import FloatArray, IntArray
 from ptne_env.theory.closed_loop import last_modes
 from ptne_env.theory.constants import (
+    ZERO,
     MonotonicityConstants,
     gain_bound,
     jacobian_at_equilibrium,
     monotonicity_constants,
 )
-from ptne_env.theory.delayed_play import coupling_radius, delayed_play_radius, hop_delays
 from ptne_env.world.graphs import Graph, union
 from ptne_env.world.world import World
 
@@ -232,7 +233,9 @@ def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Conditi
     together = union(constants.graphs)
     radius = np.inf
     if together.is_connected:
-        radius = delayed_play_radius(constants.jacobian, hop_delays(together, constants.owners), law.step)
+        hops = shortest_path(together.adjacency, unweighted=True).astype(np.int64)
+        delays = hops[np.ix_(constants.owners, constants.owners)]
+        radius = delayed_play_radius(constants.jacobian, delays, law.step)
     name = "gradient play with delays settles: ρ < 1"
     settles = Condition.below(name, radius, 1.0, exact=constants.exact)
     return decisive(_fixed_graph(constants), _strongly_monotone(constants), settles)
@@ -258,7 +261,7 @@ def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition
     """ε > 0, ρ(B) < 1 with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j and G = dF, and all links act again and again.
 
     Then best responses contract in a weighted maximum norm, with copies of any age
-    (:func:`~ptne_env.theory.delayed_play.coupling_radius`), so also along paths that switch.
+    (:func:`coupling_radius`), so also along paths that switch.
     """
     radius = coupling_radius(constants.jacobian, constants.owners)
     return decisive(
@@ -266,3 +269,54 @@ def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition
         _all_links_recur(constants),
         Condition.below("ρ(B) < 1, B_ij = ‖G_ii⁻¹ G_ij‖", radius, 1.0, exact=constants.exact),
     )
+
+
+# --- the loops of laws that copy -------------------------------------------------------------------------------------
+
+
+def delayed_play_radius(jacobian: FloatArray, delays: IntArray, step: float) -> float:
+    """Spectral radius of e_c(k+1) = e_c(k) − η Σ_b dF_cb e_b(k − d_cb).
+
+    It is the loop of :class:`~ptne_env.field.laws.RoutedUnknown` on a fixed graph after the first steps, where no bound
+    becomes or ceases to be active: below 1 exactly where the law settles. The estimates of the other players are late
+    copies, which add zeros to the eigenvalues.
+
+    Args:
+        jacobian: dF, shape (n, n).
+        delays: d_cb, the hop count between the owners of the components c and b, shape (n, n).
+        step: η.
+    """
+    n, longest = len(jacobian), int(delays.max())
+    matrix = np.eye(n * (longest + 1), k=-n)  # of (e(k), e(k−1), …)
+    matrix[:n, :n] = np.eye(n)
+    for delay in range(longest + 1):
+        matrix[:n, delay * n : (delay + 1) * n] -= step * np.where(delays == delay, jacobian, 0.0)
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
+def coupling_radius(jacobian: FloatArray, owners: IntArray) -> float:
+    """ρ(B) with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j, G = dF; below 1, best-response play settles for every delay.
+
+    With v > 0 the Perron vector, B v ≤ ρ v: best responses to copies with errors ‖e_j‖ ≤ r v_j, however late, have
+    errors ‖e_i‖ ≤ ρ r v_i. As soon as all older copies are gone, all errors are within the smaller box, and so on: the
+    errors vanish for delays that change and differ, as long as every copy is renewed again and again (D. P. Bertsekas
+    and J. N. Tsitsiklis, "Parallel and Distributed Computation", 1989, Section 6.2). With an owner per component, so do
+    those of gradient play with steps η dF_cc ≤ 1.
+
+    Args:
+        jacobian: dF, shape (n, n).
+        owners: the player of each component, shape (n,).
+
+    Returns:
+        The radius; infinite where some G_ii is singular, so that no best response exists.
+    """
+    blocks = [np.flatnonzero(owners == player) for player in range(int(owners.max()) + 1)]
+    coupling = np.zeros((len(blocks), len(blocks)))
+    for i, own in enumerate(blocks):
+        square = jacobian[np.ix_(own, own)]
+        if np.linalg.svd(square, compute_uv=False)[-1] <= ZERO * np.linalg.norm(jacobian):
+            return np.inf
+        response = np.linalg.solve(square, jacobian[own])
+        for j, other in enumerate(blocks):
+            coupling[i, j] = 0.0 if i == j else np.linalg.norm(response[:, other], 2)
+    return float(np.abs(np.linalg.eigvals(coupling)).max())

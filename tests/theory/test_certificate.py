@@ -17,7 +17,7 @@ from ptne_env.evaluation import get_policy_spec
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.theory.sampled import sampled_loop
+from ptne_env.theory.closed_loop import sampled_loop
 from ptne_env.world import dynamics
 from ptne_env.world.clock import Exponential
 from ptne_env.world.distances import digits

@@ -1,19 +1,12 @@
-"""The page of the reproduction: Table I, figures, claims and errata."""
+"""Tables of the reproduction: Table I, claims and errata."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ptne_env.bench.report.figures import FIGURES
-from ptne_env.bench.report.page import Page, Part
 from ptne_env.bench.report.reproduction import Reproduction
 from ptne_env.bench.report.tables import Cell, Column, Table, text_table
 from ptne_env.theory.paper import Claim
-
-_QUESTION = (
-    "Do the control laws of Z. Feng and G. Hu, Prescribed-Time Fully Distributed Nash Equilibrium Seeking in "
-    "Noncooperative Games, do what the paper claims?"
-)
 
 
 def paper_tables(reproduction: Reproduction) -> tuple[Table, Table, Table]:
@@ -45,36 +38,3 @@ def paper_tables(reproduction: Reproduction) -> tuple[Table, Table, Table]:
 def _verdicts(caption: str, claims: Iterable[Claim]) -> Table:
     rows = ((claim.name, claim.word, claim.statement, claim.finding) for claim in claims)
     return text_table(caption, "", ("verdict", "says", "measured"), rows)
-
-
-def paper_page(reproduction: Reproduction, command: str) -> str:
-    """The reproduction as one HTML file.
-
-    Args:
-        reproduction: of :func:`~ptne_env.bench.report.reproduction.reproduce`.
-        command: that repeats it.
-
-    Raises:
-        ImportError: when Jinja is missing, naming the extra to install.
-    """
-    table, claims, errata = paper_tables(reproduction)
-    failing = [claim.name for claim in reproduction.claims if claim.verdict == "fails"]
-    stated = len(claims.rows)
-    failed = [name for name in failing if name in claims.rows]
-    answer = f"{stated - len(failed)} of {stated} claims hold when measured. Failing: {'; '.join(failed) or 'none'}."
-    pictures = {path.stem: path.read_bytes() for path in reproduction.figures}
-    figures = (
-        Part(f"{spec.number}: {spec.name}", picture=pictures[spec.name], caption=spec.caption) for spec in FIGURES
-    )
-    return Page(
-        title="The paper reproduced",
-        question=_QUESTION,
-        answer=(answer,),
-        parts=(
-            Part("Table I", tables=(table,)),
-            *figures,
-            Part("Claims", tables=(claims,)),
-            Part("Errata", "Errors of the paper; docs/errata.md explains each of them.", (errata,)),
-            Part("Reproduce", facts=(("command", command),)),
-        ),
-    ).html()
