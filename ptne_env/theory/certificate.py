@@ -218,7 +218,7 @@ class _Prediction:
         reach, peak = float(np.abs(estimates).max()), float(np.abs(inputs).max(initial=0.0))
         if len(path) < len(self.path):
             yield "the sampled loop diverges from this start before T: the steps are too long for the law"
-        elif self._is_rounded(path):
+        elif self.amplifies or self._is_rounded(path):
             yield "rounding shows at T: the digits are those of exact arithmetic, and an episode may have others"
         if max(reach, np.abs(game.own_gradients(estimates)).max()) > RANGE_LIMIT:
             yield f"an estimate or a gradient leaves ±{RANGE_LIMIT:g} on the way, where an episode ends"
@@ -232,6 +232,12 @@ class _Prediction:
             yield "the start is random: the digits are those of one draw, with seed 0"
         if world.topology.is_random:
             yield "the topology is random: no rate, and digits of one draw, with seed 0"
+
+    @property
+    def amplifies(self) -> bool:
+        """Whether a step amplifies errors, and so what is rounded."""
+        stable = self.loop.largest_stable_step
+        return stable is not None and self.loop.largest_step >= stable
 
     def _is_rounded(self, path: FloatArray) -> bool:
         """Whether rounding to float32 may change the digits at T: a start that is moved by more changes them.
@@ -260,8 +266,7 @@ class _Prediction:
                 "linearisation at x*, of the components that no bound holds; no digits"
             )
         yield from self.deviations if self.is_linear else ()
-        stable = self.loop.largest_stable_step
-        if stable is not None and self.loop.largest_step >= stable:
+        if self.amplifies:
             yield "the largest step amplifies errors: it is longer than the largest stable one"
         if not topology.is_fixed and not topology.is_random:
             yield (
