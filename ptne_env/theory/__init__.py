@@ -27,4 +27,3 @@ from ptne_env.theory.conditions import problem_constants as problem_constants
 from ptne_env.theory.constants import MonotonicityConstants as MonotonicityConstants
 from ptne_env.theory.constants import gain_bound as gain_bound
 from ptne_env.theory.constants import monotonicity_constants as monotonicity_constants
-from ptne_env.theory.constants import proof_matrix as proof_matrix

@@ -89,20 +89,6 @@ def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) 
     return (iota**2 / epsilon + iota) / algebraic_connectivity
 
 
-def proof_matrix(
-    constants: MonotonicityConstants, algebraic_connectivity: float, players: int, kappa: float
-) -> FloatArray:
-    """O/2 = [[ε/N, −ι/√N], [−ι/√N, κ λ2 − ι]] with the matrix O of the proof of Theorem 1, eq. (24), shape (2, 2).
-
-    With a the norm of the mean part 1⊗ē of an error e, and b that of the rest, eᵀ M e ≥ (a, b) O/2 (a, b)ᵀ. So
-    ‖**x** − 1⊗x*‖ falls at least like e^{−λ_min(O/2) τ} from every start. λ_min(O/2) is positive exactly when the gain
-    condition holds; it is a bound, and the rate itself is the spectral abscissa.
-    """
-    coupling = constants.iota / np.sqrt(players)
-    corner = kappa * algebraic_connectivity - constants.iota
-    return np.array([[constants.epsilon / players, -coupling], [-coupling, corner]])
-
-
 def jacobians(game: Game, points: FloatArray) -> FloatArray:
     """The Jacobian dF at points (n, B), shape (n, n, B); by central differences where the game does not know it."""
     known = game.jacobian(points)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from proof import proof_matrix
 from sample_games import BlockGame
 
 from ptne_env import theory
@@ -71,7 +72,7 @@ def test_the_gain_condition_is_that_the_matrix_of_the_proof_is_positive_definite
     bound = theory.gain_bound(constants, ring.algebraic_connectivity)
 
     def rate(kappa):
-        return np.linalg.eigvalsh(theory.proof_matrix(constants, ring.algebraic_connectivity, 5, kappa))[0]
+        return np.linalg.eigvalsh(proof_matrix(constants, ring.algebraic_connectivity, 5, kappa))[0]
 
     assert rate(0.999 * bound) < 0 < rate(1.001 * bound)
     matrix = theory.closed_loop_matrix(EnergyGame(), ring, 10.0)

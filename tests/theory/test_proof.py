@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from affine_games import AffineGame
+from proof import proof_matrix
 
 from ptne_env import theory
 from ptne_env.theory import MonotonicityConstants
@@ -18,9 +19,7 @@ def pursuit(players, strength=4.0):
 
 
 def reduced_matrix(game, graph):
-    return theory.proof_matrix(
-        theory.monotonicity_constants(game), graph.algebraic_connectivity, game.num_players, KAPPA
-    )
+    return proof_matrix(theory.monotonicity_constants(game), graph.algebraic_connectivity, game.num_players, KAPPA)
 
 
 def slack(game, graph, reduced):
@@ -58,7 +57,7 @@ def least_on_quadrant(form):
 def test_matrix_of_the_proof_by_hand():
     constants = MonotonicityConstants(2.0, 3.0, 1.0, exact=True, samples=1, radius=None)
     expected = [[0.5, -1.5], [-1.5, 7.0]]  # ε/N = 2/4, ι/√N = 3/2, κλ2 − ι = 5·2 − 3
-    np.testing.assert_allclose(theory.proof_matrix(constants, 2.0, 4, 5.0), expected)
+    np.testing.assert_allclose(proof_matrix(constants, 2.0, 4, 5.0), expected)
 
 
 @pytest.mark.parametrize("graph", [path, cycle, complete])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,15 +40,11 @@ class Reproduction:
         table: the rows of Table I.
         claims: every claim and erratum with its verdict.
         figures: the figure files, an SVG per figure.
-        results: the JSON file with all numbers.
-        seconds: duration.
     """
 
     table: tuple[TableRow, ...]
     claims: tuple[Claim, ...]
     figures: tuple[Path, ...]
-    results: Path
-    seconds: float
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object without NaN or infinite numbers, the same in every run."""
@@ -73,7 +68,6 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
         ImportError: naming the extra to install when matplotlib is missing.
         NotADirectoryError: when ``out`` is a file.
     """
-    began = time.perf_counter()
     if out.exists() and not out.is_dir():
         raise NotADirectoryError(f"{out} is a file; name a directory to write the figures to")
     out.mkdir(parents=True, exist_ok=True)
@@ -97,7 +91,7 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
         figures.append(out / f"{spec.name}.svg")
         write_atomically(figures[-1], draw(spec, experiments))
     announce("Done")
-    results = out / RESULTS_FILE
-    reproduction = Reproduction(table, tuple(claims), tuple(figures), results, time.perf_counter() - began)
-    write_atomically(results, json.dumps(reproduction.to_dict(), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    reproduction = Reproduction(table, tuple(claims), tuple(figures))
+    text = json.dumps(reproduction.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+    write_atomically(out / RESULTS_FILE, text + "\n")
     return reproduction

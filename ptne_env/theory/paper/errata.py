@@ -101,7 +101,7 @@ def erratum_3(experiments: Experiments) -> Iterator[Claim]:
 
 def erratum_4(experiments: Experiments) -> Iterator[Claim]:
     """κ = 2 violates the gain condition on every graph with λ2 < 2.91, and no other graph comes near Table I."""
-    game, constants, bound = experiments.energy, experiments.constants, experiments.gain_bound
+    game, bound = experiments.energy, experiments.gain_bound
     least = experiments.required_gain(1.0) / KAPPA
     graphs = [from_networkx(g) for g in nx.graph_atlas_g() if g.number_of_nodes() == 5 and nx.is_connected(g)]
     weak = [graph for graph in graphs if graph.algebraic_connectivity < least]
@@ -124,8 +124,6 @@ def erratum_4(experiments: Experiments) -> Iterator[Claim]:
         f"the 5-cycle needs κ > {bound:.3f}; {len(violating)} of {len(graphs)} graphs have λ2 < {least:.3f} and "
         f"violate it, slowest rate r = {slowest:.3f}; {near} of {len(labelled)} labelled graphs come within 5 % of "
         f"Table I, and those with a larger λ2 not closer than {nearest_strong:.2%}",
-        epsilon=constants.epsilon,
-        iota=constants.iota,
         gain_bound_on_cycle=bound,
         least_connectivity=least,
         graphs=len(graphs),

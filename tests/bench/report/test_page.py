@@ -177,9 +177,9 @@ def test_a_page_of_words_and_pictures_needs_no_scene():
     assert "data:image/svg+xml;base64,PHN2Zy8+" in text
 
 
-def test_the_tables_of_the_paper_have_its_rows_and_verdicts(tmp_path):
+def test_the_tables_of_the_paper_have_its_rows_and_verdicts():
     rows = (TableRow("Proposed", 2.0, 20.0, 1.2, None, 0.1),)
     claims = (Claim("Theorem 1", "It converges.", "holds", "r = 0.28"), Claim("Erratum 1", "A misprint.", "fails", "0"))
-    found = paper_tables(Reproduction(rows, claims, (), tmp_path / "results.json", 1.0))
+    found = paper_tables(Reproduction(rows, claims, ()))
     cells = {column[row].text for table in found for column in table.columns for row in table.rows}
     assert {"never", "r = 0.28", "holds", "not confirmed"} <= cells

@@ -90,8 +90,6 @@ def test_erratum_3_velocity_and_energy_diverge(claims):
 
 def test_erratum_4_the_gain_violates_the_condition_on_most_graphs(claims):
     measured = claims["Erratum 4, the gain of the simulations"].measured
-    assert measured["epsilon"] == pytest.approx(2.1)
-    assert measured["iota"] == pytest.approx(2.6)
     assert measured["gain_bound_on_cycle"] == pytest.approx(4.2107, abs=1e-4)
     assert measured["least_connectivity"] == pytest.approx(2.91, abs=0.005)
     assert measured["graphs"] == 21
