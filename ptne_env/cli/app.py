@@ -30,24 +30,23 @@ class ExitCode(IntEnum):
     """Ctrl-C."""
 
 
-def _without_type(parameters: list[Any]) -> list[Any]:
-    """The parameters of a command, where a flag shows no type: typer would write ``<bool>`` beside it."""
-    for parameter in parameters:
-        if getattr(parameter, "is_flag", False):
-            parameter.metavar = ""
-    return parameters
+class _Flags:
+    """Shows no type beside a flag in the help, where typer would write ``<bool>``."""
 
-
-class _Group(TyperGroup):
     def get_params(self, ctx: Any) -> list[Any]:
-        return _without_type(super().get_params(ctx))
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]  # typer's
+        for parameter in parameters:
+            if getattr(parameter, "is_flag", False):
+                parameter.metavar = ""
+        return parameters
 
 
-class Command(TyperCommand):
+class Command(_Flags, TyperCommand):
     """The class of every command."""
 
-    def get_params(self, ctx: Any) -> list[Any]:  # noqa: D102 - typer's
-        return _without_type(super().get_params(ctx))
+
+class _Group(_Flags, TyperGroup):
+    pass
 
 
 app = typer.Typer(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ptne_env.bench.report.tables import decimals, leaders, overall
+from ptne_env.bench.report.tables import leaders, overall
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.statistics import Summary
 from ptne_env.world import distances
@@ -29,7 +29,7 @@ class DotPlot:
 
     @property
     def ticks(self) -> list[int]:
-        """Round digits from below the least one, and 0, to above the largest one."""
+        """Digits from below the least value, and 0, to above the largest."""
         values = [value for row in self.rows.values() for each in row.values() for value in (each.low, each.high)]
         low, high = math.floor(min([0.0, *filter(None, values)])), math.ceil(max([1.0, *filter(None, values)]))
         step = 1 if high - low <= 8 else 2
@@ -40,28 +40,22 @@ class DotPlot:
         first, last = self.ticks[0], self.ticks[-1]
         return f"{100 * (min(value, last) - first) / (last - first):.2f}"
 
-    def words(self, name: str, found: Summary) -> str:
-        """A dot in words."""
-        return f"{name}: {decimals(found.mean)} [{decimals(found.low)}, {decimals(found.high)}]"
-
 
 def dot_plot(results: Results) -> DotPlot:
     """The digits of the leading policies (:func:`~ptne_env.bench.report.tables.leaders`) on every track.
 
     The last row has their means over tracks, where there are several.
-
-    Args:
-        results: of a comparison or of another suite.
     """
-    kinds = leaders(results)
+    kinds, scores = leaders(results), {name: digits for name, (digits, _) in overall(results).items()}
     rows = {
         track.name: {name: results.summary(track.name, name, "digits") for name in kinds} for track in results.tracks
     }
-    if len(results.tracks) > 1:
-        means = overall(results)
-        rows["mean" if results.is_comparison else "score"] = {name: means[name][0] for name in kinds if name in means}
-    valued = {
-        row: {name: each for name, each in found.items() if each is not None and each.mean is not None}
-        for row, found in rows.items()
-    }
-    return DotPlot(kinds, valued)
+    if len(rows) > 1:
+        rows["mean" if results.is_comparison else "score"] = {name: scores.get(name) for name in kinds}
+    return DotPlot(
+        kinds,
+        {
+            row: {name: each for name, each in found.items() if each and each.mean is not None}
+            for row, found in rows.items()
+        },
+    )

@@ -45,9 +45,8 @@ def yardsticks(scenario: Scenario, episodes: int = 20) -> dict[str, float]:
     laws = [name for name in COMPARED if not (POLICIES[name].files or POLICIES[name].is_oracle)]
     results = evaluate(laws, [scenario], episodes=episodes, split="validation")
     gained = {name: float(found["digits_gained"].mean()) for (_, name), found in results.samples.items()}
-    best = max(gained, key=gained.__getitem__)
-    named = {f"{best} (the best law)": gained[best]} if best != LAW else {}
-    return ({f"{LAW} (the paper's law)": gained[LAW]} if LAW in gained else {}) | named
+    kinds = {max(gained, key=gained.__getitem__): "the best law", LAW: "the paper's law"}
+    return {f"{name} ({kinds[name]})": gained[name] for name in reversed(kinds) if name in gained}
 
 
 def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, lines: Mapping[str, float]) -> None:
