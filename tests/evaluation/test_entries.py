@@ -62,7 +62,7 @@ def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch)
     with pytest.raises(FileNotFoundError, match=r"there is no file 'none-\*.onnx', which 'mine=none-\*.onnx' asks for"):
         get_policy_spec("mine=none-*.onnx")
     (tmp_path / "evil.py").touch()
-    with pytest.raises(ValueError, match="policy files end in .onnx or .zip"):
+    with pytest.raises(ValueError, match="policy files end in .onnx, .npz or .zip"):
         get_policy_spec("mine=*.py")
 
 
