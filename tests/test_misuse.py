@@ -44,7 +44,8 @@ MISUSES = {
     "Scenario.from_dict({'name': 'x'})": r"missing keys \['game', 'topology'\]",
     # Graphs and numbers of players.
     "parallel_env('energy', topology=np.zeros((5, 5)))": "graph is disconnected.*add links",
-    "parallel_env('energy', topology=nx.path_graph(4))": "the game has 5 players, the graphs 4",
+    "parallel_env('energy', topology=nx.path_graph(4))": "the game has 5 players, the graphs 4; pass a topology= of 5",
+    "parallel_env('energy', T=2)": "unexpected keyword argument 'T'; did you mean 'deadline'",
     "parallel_env('energy', topology=nx.DiGraph([(0, 1)]))": "the adjacency matrix must be symmetric",
     "parallel_env('energy', topology=[['a']])": "an adjacency matrix is an .N, N. table of numbers: could not",
     "parallel_env('energy', slots=1)": "a player has 2 neighbours and slots is 1; raise it to 2",

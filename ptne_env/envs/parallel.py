@@ -323,7 +323,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
                 f"{', '.join(map(str, unknown)) or 'none'}; live: {', '.join(self.agents)}"
             )
         faults = {agent: _fault(actions[agent], self._actions_shape[2:]) for agent in self.agents}
-        return ValueError("; ".join(f"the action of {agent} {fault}" for agent, fault in faults.items() if fault))
+        found = [f"the action of {agent} {fault}" for agent, fault in faults.items() if fault]
+        return ValueError("; ".join(found[:3]) + f"; and {len(found) - 3} more players" * (len(found) > 3))
 
 
 def _fault(action: Any, shape: tuple[int, ...]) -> str | None:

@@ -176,7 +176,8 @@ def _declared_interface(source: PolicySource) -> Interface | None:
     found: Any = source
     if isinstance(source, FactorySpec):
         found = source.build() if source.target in _LIBRARIES else source.resolve()
-    return getattr(found, "interface", None)
+    declared = getattr(found, "interface", None)
+    return Interface(declared) if isinstance(declared, str) else declared
 
 
 def _file_of(source: PolicySource) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from inspect import signature
 from pathlib import Path
 from traceback import extract_tb
 from typing import Any, Protocol, runtime_checkable
@@ -38,7 +39,14 @@ def decision(policy: Policy, observation: Float32Array, state: Any, episode_star
     Raises:
         PolicyError: when the answer is no pair.
     """
-    answer = policy.predict(observation, state, episode_start, deterministic=True)
+    try:
+        answer = policy.predict(observation, state, episode_start, deterministic=True)
+    except TypeError:
+        try:
+            signature(policy.predict).bind(observation, state, episode_start, deterministic=True)
+        except TypeError as error:
+            raise PolicyError(f"expected predict(observation, state, episode_start, deterministic): {error}") from error
+        raise
     return pair(answer, "predict returns (actions, state)")
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+_SYMBOLS = {"T": "deadline", "c": "gain", "K": "steps", "N": "players"}
+"""Arguments by their symbols in the paper."""
+
 
 def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = "") -> str:
     """The message that a name does not exist, with similar names, or all where none is similar.
@@ -31,6 +34,8 @@ def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
     if name == "seed":
         return "a seed is an argument of reset, evaluate and training, such as reset(seed=3)"
     choices, asked = list(known), _plain(name)
+    if (meant := _SYMBOLS.get(name)) in choices:
+        return f"did you mean {meant!r}?"
     parts = {part: choice for choice in choices for part in (_plain(choice), _plain(choice).rpartition("/")[2])}
     found = [*get_close_matches(asked, parts), *(part for part in parts if name and part.startswith(asked))]
     near = list(dict.fromkeys(repr(parts[part]) for part in found))[:3]

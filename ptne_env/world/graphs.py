@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -121,8 +122,17 @@ def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:
 
 
 def from_networkx(graph: nx.Graph[int]) -> Graph:
-    """The undirected networkx graph, nodes in their order; ``weight`` defaults to 1."""
-    return Graph(nx.to_numpy_array(graph))
+    """The undirected networkx graph; see :func:`adjacency`."""
+    return Graph(adjacency(graph))
+
+
+def adjacency(graph: nx.Graph[Any]) -> FloatArray:
+    """The weights a_ij of a networkx graph, (N, N); ``weight`` defaults to 1.
+
+    Nodes 0 to N − 1 are these players; nodes of other names are players in the order in which they were added.
+    """
+    is_numbered = set(graph) == set(range(len(graph)))
+    return nx.to_numpy_array(graph, nodelist=range(len(graph)) if is_numbered else None)
 
 
 def union(graphs: Iterable[Graph]) -> Graph:

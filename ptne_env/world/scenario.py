@@ -40,9 +40,9 @@ def _as_spec(field: str, value: Any) -> FactorySpec:
     if isinstance(value, Part | type | FunctionType):
         return FactorySpec.naming(value)
     if field == "topology" and type(value).__module__.startswith("networkx."):
-        import networkx as nx
+        from ptne_env.world.graphs import adjacency
 
-        value = nx.to_numpy_array(value)
+        value = adjacency(value)
     if not (isinstance(value, np.ndarray | list | tuple) and field in _ARRAYS):
         raise ValueError(
             f"{field} is an object of the library's class for it, the id of a part, a 'module:object' string or a "
@@ -77,7 +77,7 @@ class Scenario:
             draws one game.
         topology: builds a :class:`~ptne_env.world.switching.SwitchingTopology` on the game's players, or a
             :class:`~ptne_env.world.graphs.Graph` that never changes; also its array a_ij, (N, N), or a graph of
-            networkx, whose nodes are the players in their order, and whose attribute ``weight`` is a_ij.
+            networkx, whose nodes 0 to N − 1 are the players, and whose attribute ``weight`` is a_ij.
         start: builds a :class:`~ptne_env.world.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20));
             also an array (N, n), row i being x^i(0).
         transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``.

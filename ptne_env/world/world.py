@@ -211,7 +211,8 @@ class World:
         name, topology = self.scenario.name, self.topology
         if topology.num_players != self.game.num_players:
             raise ValueError(
-                f"scenario {name!r}: the game has {self.game.num_players} players, the graphs {topology.num_players}"
+                f"scenario {name!r}: the game has {self.game.num_players} players, the graphs {topology.num_players}; "
+                f"pass a topology= of {self.game.num_players} players, or a game= of {topology.num_players}"
             )
         if not topology.is_jointly_connected:
             kind = "graph is disconnected" if topology.is_fixed else "graphs are not jointly connected over a period"

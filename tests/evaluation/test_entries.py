@@ -38,6 +38,7 @@ def test_several_training_seeds_are_their_own_dict_and_back_and_objects_are_not(
 
 def test_what_a_policy_declares_cannot_be_overridden():
     assert PolicySpec("mine", object).interface == Interface("scaled")  # declares none
+    assert PolicySpec("named", type("Mine", (), {"interface": "physical"})).interface == Interface("physical")
     assert PolicySpec("oracle-2", FactorySpec.of("law:oracle")).interface == Interface("full")
     for policy in (laws.Oracle, FactorySpec.of("law:oracle")):
         with pytest.raises(ValueError, match="declares the interface .*'full'.*cannot act through .*'physical'"):
@@ -138,6 +139,7 @@ def test_only_a_layout_error_makes_a_policy_not_applicable():
         PolicySpec("nothing", lambda layout: object()),
         PolicySpec("uncalled", object),
         PolicySpec("alone", SimpleNamespace(predict=lambda rows, *_, **__: np.zeros((len(rows), 5)))),
+        PolicySpec("short", SimpleNamespace(predict=lambda rows, memory: (np.zeros((len(rows), 5)), memory))),
     ]
     results = evaluate(["static", *broken], [BASE], episodes=1)
     failures = {policy: reason for (_, policy), reason in results.failures.items()}
@@ -145,4 +147,5 @@ def test_only_a_layout_error_makes_a_policy_not_applicable():
     assert failures["nothing"].startswith("called with the layout, it returned a object without predict(")
     assert "; it is called with the layout" in failures["uncalled"]
     assert failures["alone"] == "step 0: predict returns (actions, state), got a ndarray alone"
+    assert "expected predict(observation, state, episode_start, deterministic): too many" in failures["short"]
     assert not results.not_applicable

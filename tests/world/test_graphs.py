@@ -55,13 +55,13 @@ def test_union_has_every_link_with_its_largest_weight(first, second):
     assert np.array_equal(graphs.union([Graph(first), Graph(second)]).adjacency, np.maximum(first, second))
 
 
-def test_a_graph_of_networkx_keeps_its_weights():
-    graph = nx.Graph()
-    graph.add_nodes_from([0, 1, 2])
+def test_a_graph_of_networkx_keeps_its_weights_and_numbered_players():
+    graph = nx.Graph([(2, 1)])  # nodes in another order than players
     graph.add_edge(0, 2, weight=2.5)
-    graph.add_edge(1, 2)
     ours = graphs.from_networkx(graph)
     assert ours.adjacency.tolist() == [[0, 0, 2.5], [0, 0, 1], [2.5, 1, 0]]
+    named = graphs.from_networkx(nx.relabel_nodes(graph, {2: "hub", 1: "one", 0: "two"}))
+    assert named.adjacency.tolist() == [[0, 1, 2.5], [1, 0, 0], [2.5, 0, 0]]
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,9 @@ from ptne_env.evaluation.results import Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
 
+NO_LAWS = ("zero-input", "random")
+"""Shipped policies that seek nothing, so that none is the best law."""
+
 FIRST_MARGIN = 0.1
 """A policy whose interval comes within this many digits of the best mean of a track shares the first place there."""
 
@@ -196,13 +199,18 @@ def answer(results: Results) -> tuple[str, ...]:
         return ("No policy without an oracle's information has a result.",)
     best = next(name for name in _best_first(results) if name in firsts)
     noun, count = "scenario" if results.is_comparison else "track", len(tracks)
+    if len(firsts) == 1:
+        return (f"{best} was compared with nothing; --policy names others.",)
     where = f"on {tracks[0]}"
     if count > 1:
         where = f"or within {FIRST_MARGIN:g} digits of the closest, on {len(firsts[best])} of {count} {noun}s"
-    sentences = [f"{best} comes closest to the Nash equilibrium by the deadline{',' * (count > 1)} {where}."]
+    equal = [name for name in _best_first(results) if firsts.get(name) == firsts[best]]
+    names = best if len(equal) == 1 else f"{', '.join(equal[:-1])} and {equal[-1]}"
+    come = "comes closest" if len(equal) == 1 else "are not told apart: they come closest"
+    sentences = [f"{names} {come} to the Nash equilibrium by the deadline{',' * (count > 1)} {where}."]
     reached = [digits for track in tracks if LAW in (digits := _reached(results, track))]
     gaps = [max(digits.values())[0] - digits[LAW][0] for digits in reached]
-    if gaps and best != LAW:
+    if gaps and LAW not in equal:
         sentences.append(
             f"The paper's law ({LAW}) is {sum(gaps) / len(gaps):.2f} digits behind the closest"
             + f" on average, {max(gaps):.2f} at most" * (len(gaps) > 1)
@@ -252,7 +260,7 @@ def leaders(results: Results) -> dict[str, str]:
     names = [name for name in _best_first(results) if not specs[name].is_oracle]
     kinds = {
         "the paper's law": [name for name in names if name == LAW],
-        "the best law": [name for name in names if name in POLICIES and not specs[name].files],
+        "the best law": [name for name in names if name in POLICIES and not (specs[name].files or name in NO_LAWS)],
         "the best learned policy": [name for name in names if specs[name].files],
         "yours": [name for name in names if name not in POLICIES],
     }
