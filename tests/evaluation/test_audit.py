@@ -106,7 +106,7 @@ class NeedsLinks(laws.Static):
     ("policy", "reason"),
     [
         (Mixing, "not row-wise"),
-        (lambda layout: Mixing(layout, share=1e-9), "not row-wise"),  # a message in the last bits
+        (lambda layout: Mixing(layout, share=1e-9), "it decides differently"),  # a message in the last bits
         (lambda layout: Mixing(layout, first=100), "step 100: its decisions are not row-wise"),
         (lambda layout: Mixing(layout, smallest=20), "not row-wise"),
         (ThroughMemory, "not row-wise"),
