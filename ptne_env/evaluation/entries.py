@@ -209,6 +209,11 @@ def _network(scenario: str) -> tuple[str, str, dict[str, Any]]:
     return _entry(LOADER, f"A network that PPO trained on {scenario}.", path_or_name=f"ppo-{scenario}")
 
 
+def _recurrent(name: str, where: str) -> tuple[str, str, dict[str, Any]]:
+    sentence = f"A network with memory that was trained through the world, {where}."
+    return _entry(LOADER, sentence, path_or_name=f"recurrent-{name}")
+
+
 _COMPARED = {
     "static": _entry("law:static", "The paper's static law: down the own cost, and towards the neighbours.", kappa=2.0),
     "adaptive": _entry(
@@ -240,10 +245,10 @@ _COMPARED = {
 }
 _OTHERS = {
     "ppo-ptne-v1": _network("ptne-v1"),
-    "recurrent-random-energy-switching-transformed": _entry(
-        LOADER,
-        "A network with memory that was trained through the world, in games of this scenario.",
-        path_or_name="recurrent-random-energy-switching-transformed",
+    "recurrent-random-worlds": _recurrent("random-worlds", "in 23 worlds outside of the suites"),
+    "recurrent-random-energy-switching": _recurrent("random-energy-switching", "in games of this scenario"),
+    "recurrent-random-energy-switching-transformed": _recurrent(
+        "random-energy-switching-transformed", "in games of this scenario"
     ),
     "static-tuned": _entry("law:static", "The static law with tuned weights.", kappa=2.2, gradient_gain=2.94),
     "adaptive-grounded": _entry(

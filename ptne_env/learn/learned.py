@@ -230,10 +230,11 @@ def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> L
 
     opened = _opened if path.suffix == ".onnx" else recurrent.opened
     policy: LearnedPolicy | RecurrentPolicy = opened(path, path.read_bytes())
-    if layout is not None and isinstance(policy, recurrent.RecurrentPolicy):
+    if layout is None:
+        return policy
+    if isinstance(policy, recurrent.RecurrentPolicy):
         return policy.with_layout(layout)
-    if layout is not None:
-        policy.require(layout)
+    policy.require(layout)
     return policy
 
 
