@@ -176,7 +176,7 @@ def _declared_interface(source: PolicySource) -> Interface | None:
     found: Any = source
     if isinstance(source, FactorySpec):
         found = source.build() if source.target in _LIBRARIES else source.resolve()
-    declared = getattr(found, "interface", None)
+    declared: Any = getattr(found, "interface", None)
     return Interface(declared) if isinstance(declared, str) else declared
 
 
