@@ -8,12 +8,133 @@ reference where the game is affine. It prints the tables, and writes the figures
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from ptne_env.bench.report.paper import paper_tables
-from ptne_env.bench.report.reproduction import reproduce
+from ptne_env import __version__
+from ptne_env.bench.report.figures import FIGURES, draw
+from ptne_env.bench.report.tables import Cell, Column, Table, text_table
 from ptne_env.bench.report.terminal import show
 from ptne_env.cli.console import console, progress
+from ptne_env.shared.files import write_atomically
+from ptne_env.theory.paper.claims import CLAIMS, Claim
+from ptne_env.theory.paper.errata import ERRATA
+from ptne_env.theory.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
+from ptne_env.theory.paper.table import TableRow, table_one
+
+RESULTS_FILE = "results.json"
+
+CHECKS = (*CLAIMS, *ERRATA)
+"""All measurements, in the order of the paper and of docs/errata.md."""
+
+_SETTINGS = {
+    "deadline": DEADLINE,
+    "gain": GAIN,
+    "gamma": GAMMA,
+    "initial_gain": INITIAL_GAIN,
+    "s_end": S_END,
+    "graph": "5-cycle",
+}
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Results of :func:`reproduce`.
+
+    Attributes:
+        table: the rows of Table I.
+        claims: every claim and erratum with its verdict.
+        figures: the figure files, an SVG per figure.
+    """
+
+    table: tuple[TableRow, ...]
+    claims: tuple[Claim, ...]
+    figures: tuple[Path, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object without NaN or infinite numbers, the same in every run."""
+        return {
+            "version": __version__,
+            "settings": _SETTINGS,
+            "table_1": [dataclasses.asdict(row) for row in self.table],
+            "claims": [dataclasses.asdict(claim) for claim in self.claims],
+            "figures": [path.name for path in self.figures],
+        }
+
+
+def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = None) -> Reproduction:
+    """Run every experiment of the paper and write its table, figures and claims to ``out``.
+
+    Args:
+        out: directory for the figures (SVG) and ``results.json``; created if missing.
+        progress: called as ``progress(done, total, part)`` before each part and at the end.
+
+    Raises:
+        ImportError: naming the extra to install when matplotlib is missing.
+        NotADirectoryError: when ``out`` is a file.
+    """
+    if out.exists() and not out.is_dir():
+        raise NotADirectoryError(f"{out} is a file; name a directory to write the figures to")
+    out.mkdir(parents=True, exist_ok=True)
+    experiments, total, done = Experiments(), 1 + len(CHECKS) + len(FIGURES), 0
+
+    def announce(part: str) -> None:
+        nonlocal done
+        if progress is not None:
+            progress(done, total, part)
+        done += 1
+
+    announce("Table I")
+    table = table_one(experiments)
+    claims: list[Claim] = []
+    for check in CHECKS:
+        announce(check.__name__.replace("_", " ").capitalize())
+        claims += check(experiments)
+    figures: list[Path] = []
+    for spec in FIGURES:
+        announce(f"Figure {spec.name}")
+        figures.append(out / f"{spec.name}.svg")
+        write_atomically(figures[-1], draw(spec, experiments))
+    announce("Done")
+    reproduction = Reproduction(table, tuple(claims), tuple(figures))
+    text = json.dumps(reproduction.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+    write_atomically(out / RESULTS_FILE, text + "\n")
+    return reproduction
+
+
+def paper_tables(reproduction: Reproduction) -> tuple[Table, Table, Table]:
+    """Table I beside the paper's, the claims with their verdicts, and the errata.
+
+    Args:
+        reproduction: of :func:`reproduce`.
+    """
+    rows = {row.algorithm: row for row in reproduction.table}
+    columns = {
+        "κ": {name: Cell.of(row.kappa) for name, row in rows.items()},
+        "c [1/s]": {name: Cell.of(row.gain) for name, row in rows.items()},
+        "paper [s]": {name: Cell.of(row.paper) for name, row in rows.items()},
+        "ours [s]": {name: Cell("never") if row.ours is None else Cell.of(row.ours) for name, row in rows.items()},
+        "error at the paper's time": {name: Cell.of(row.at_paper_time) for name, row in rows.items()},
+    }
+    table = Table(
+        "Table I: seconds until the strategies stay within 0.5 % of the equilibrium",
+        "algorithm",
+        tuple(rows),
+        tuple(Column(label, cells) for label, cells in columns.items()),
+        ("Example 1 on the 5-cycle, our choice: our copy of the paper lacks its graph.",),
+    )
+    errata = [claim for claim in reproduction.claims if claim.name.startswith("Erratum")]
+    stated = [claim for claim in reproduction.claims if claim not in errata]
+    return table, _verdicts("Claims of the paper", stated), _verdicts("Errata of the paper", errata)
+
+
+def _verdicts(caption: str, claims: Iterable[Claim]) -> Table:
+    rows = ((claim.name, claim.word, claim.statement, claim.finding) for claim in claims)
+    return text_table(caption, "", ("verdict", "says", "measured"), rows)
 
 
 def main() -> None:

@@ -11,14 +11,11 @@ import pytest
 from ptne_env import get_scenario
 from ptne_env.bench.report.comparison import page
 from ptne_env.bench.report.page import Page, Part
-from ptne_env.bench.report.paper import paper_tables
-from ptne_env.bench.report.reproduction import Reproduction
 from ptne_env.bench.report.style import COLOURS, DARK, LIGHT
 from ptne_env.bench.report.tables import answer, text_table
 from ptne_env.bench.report.traces import scene
 from ptne_env.evaluation import EpisodeSet, get_policy_spec
 from ptne_env.evaluation.metrics import number
-from ptne_env.theory.paper import Claim, TableRow
 from ptne_env.world.world import World
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}
@@ -175,11 +172,3 @@ def test_a_page_of_words_and_pictures_needs_no_scene():
     text = Page("Paper", (Part("Claims", tables=(table,)), Part("Figure", picture=b"<svg/>"))).html()
     assert "&lt;b&gt;" in text
     assert "data:image/svg+xml;base64,PHN2Zy8+" in text
-
-
-def test_the_tables_of_the_paper_have_its_rows_and_verdicts():
-    rows = (TableRow("Proposed", 2.0, 20.0, 1.2, None, 0.1),)
-    claims = (Claim("Theorem 1", "It converges.", "holds", "r = 0.28"), Claim("Erratum 1", "A misprint.", "fails", "0"))
-    found = paper_tables(Reproduction(rows, claims, ()))
-    cells = {column[row].text for table in found for column in table.columns for row in table.rows}
-    assert {"never", "r = 0.28", "holds", "not confirmed"} <= cells

@@ -1,8 +1,12 @@
+import sys
+from pathlib import Path
+
 import pytest
 
-import ptne_env.bench.report.reproduction as module
-from ptne_env.bench.report.reproduction import reproduce
 from ptne_env.theory.paper import Experiments
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "baselines"))
+import reproduce
 
 
 @pytest.fixture(scope="session")
@@ -13,8 +17,8 @@ def built(build_once, tmp_path_factory):
         experiments, reports = Experiments(), []
         out = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module, "Experiments", lambda: experiments)
-            return experiments, reproduce(out, progress=lambda *report: reports.append(report)), reports
+            patch.setattr(reproduce, "Experiments", lambda: experiments)
+            return experiments, reproduce.reproduce(out, progress=lambda *report: reports.append(report)), reports
 
     return build_once("paper", build)
 

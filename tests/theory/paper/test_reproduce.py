@@ -2,16 +2,17 @@ import json
 import xml.etree.ElementTree as ET
 
 import pytest
+from reproduce import CHECKS, Reproduction, paper_tables, reproduce
 
 from ptne_env.bench.report.figures import FIGURES, draw
-from ptne_env.bench.report.reproduction import CHECKS, reproduce
+from ptne_env.theory.paper import Claim, TableRow
 
 
 def test_every_figure_is_written(reproduction):
     result, _ = reproduction
     assert len(FIGURES) == 10
     expected = sorted([f"{spec.name}.svg" for spec in FIGURES] + ["results.json"])
-    assert sorted(path.name for path in result.results.parent.iterdir()) == expected  # no temporary file is left
+    assert sorted(path.name for path in result.figures[0].parent.iterdir()) == expected  # no temporary file is left
     for path in result.figures:
         assert ET.fromstring(path.read_bytes()).tag.endswith("svg")  # noqa: S314 - our own file
 
@@ -28,7 +29,7 @@ def test_results_file_holds_all_numbers(reproduction):
     def refuse(constant):
         raise AssertionError(constant)
 
-    data = json.loads(result.results.read_text(encoding="utf-8"), parse_constant=refuse)
+    data = json.loads((result.figures[0].parent / "results.json").read_text(encoding="utf-8"), parse_constant=refuse)
     assert data == json.loads(json.dumps(result.to_dict()))
     assert [row["paper"] for row in data["table_1"]] == [21.0, 13.0, 1.2]
     assert [row["ours"] for row in data["table_1"]] == [
@@ -58,3 +59,11 @@ def test_existing_file_is_refused_as_directory(tmp_path):
     with pytest.raises(NotADirectoryError, match="name a directory"):
         reproduce(target)
     assert target.read_text() == "kept"
+
+
+def test_the_tables_of_the_paper_have_its_rows_and_verdicts():
+    rows = (TableRow("Proposed", 2.0, 20.0, 1.2, None, 0.1),)
+    claims = (Claim("Theorem 1", "It converges.", "holds", "r = 0.28"), Claim("Erratum 1", "A misprint.", "fails", "0"))
+    found = paper_tables(Reproduction(rows, claims, ()))
+    cells = {column[row].text for table in found for column in table.columns for row in table.rows}
+    assert {"never", "r = 0.28", "holds", "not confirmed"} <= cells
