@@ -63,7 +63,9 @@ def test_a_run_learns_and_goes_on_after_an_interruption(tmp_path):
     (out / "summary.json").unlink()  # as if it was interrupted after two updates
     half = recurrent.sealed(policy.weights, policy.training | {"done": 2, "agent_steps": 100})
     (out / "policy.npz").write_bytes(half)
-    assert through_world.train(SHORT, out).resumed_at == 2
+    resumed = through_world.train(SHORT, out)
+    assert resumed.resumed_at == 2
+    assert np.isfinite(resumed.digits)  # though no episode has ended since then
     again = load(out / "policy.npz")
     assert again.training == policy.training
     assert any((again.weights[name] != policy.weights[name]).any() for name in again.weights)

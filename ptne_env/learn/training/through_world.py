@@ -126,6 +126,10 @@ class Lesson:
         weights, optimiser, self._carry, ended = self._update(weights, optimiser, self._carry, key, forced)
         return weights, optimiser, float(ended)
 
+    def digits(self) -> float:
+        """The mean digits of the episodes that go on."""
+        return float(self.world.digits(self._carry[0]).mean())
+
     def _updated(self, weights: Weights, optimiser: Any, carry: Any, key: Any, forced: Any) -> Any:
         world = self.world
         (_, carry), slope = jax.value_and_grad(self._loss, has_aux=True)(weights, carry)
@@ -227,6 +231,8 @@ def train(
             training = {"done": done, "agent_steps": steps, "worlds": [track.name for track in tracks]}
             write_atomically(out / POLICY, sealed(mean, asdict(settings) | training))
             saved = monotonic()
+    if not len(curve):  # no episode has ended
+        curve = np.array([[steps, lessons[0].digits()]])
     parts = [part for part in np.array_split(curve, 20) if len(part)]
     buffer = io.BytesIO()
     np.savez(buffer, timesteps=[part[:, 0].mean() for part in parts], results=[part[:, 1:].mean(0) for part in parts])
