@@ -28,7 +28,9 @@ RESULTS = ROOT / "baselines" / "results.csv"
 METRICS = ("digits", "mean_regret", "digits_cvar", "settling_time", "settled_share", "diverged_share")
 """The metrics in the file."""
 
-SHOWN = ("static", "grounded", "routed-unknown", "contact-relay", "observer-relay", "residual-coder", "ppo-ptne-v1")
+HEADLINE = ("static", "grounded", "contact-relay", "observer-relay", "residual-coder")
+LEARNED = ("ppo-ptne-v1", "recurrent-random-worlds")
+SHOWN = (*HEADLINE[:2], "routed-unknown", *HEADLINE[2:], *LEARNED)
 """The policies of the short tables of the suite, before the oracle."""
 
 SHOWN_ON_WORLDS = ("static", "grounded", "proximal-best-response", "routed-unknown", "contact-relay", "observer-relay")
@@ -137,7 +139,7 @@ def headline(found: Published) -> str:
             regret(found.cell("ptne-v1", ALL, policy, "mean_regret")),
             *(plain(found.cell("ptne-v1", track, policy)) for track in tracks),
         ]
-        for policy in ("zero-input", *SHOWN, "oracle")
+        for policy in ("zero-input", *HEADLINE, *LEARNED, "oracle")
     ]
     return markdown(["policy", "score on ptne-v1", "mean regret", *tracks], rows)
 

@@ -16,7 +16,7 @@ from functools import singledispatch
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from ptne_env.field.laws import ContactRelay, ProximalBestResponse, RoutedUnknown
+from ptne_env.field.laws import ContactRelay, ProjectedGradient, ProximalBestResponse, RoutedUnknown
 from ptne_env.laws import Adaptive, AdaptiveGrounded, Grounded, Law, Static
 from ptne_env.shared.arrays import FloatArray, IntArray
 from ptne_env.theory.closed_loop import last_modes
@@ -205,6 +205,26 @@ def adaptive_grounded_condition(law: AdaptiveGrounded, constants: ProblemConstan
         Condition.above("every graph is connected: λ2 > 0", constants.connectivity, 0.0),
         _strongly_monotone(constants),
     )
+
+
+@condition.register
+def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConstants) -> Condition:
+    """ρ = λ_max(M_α) < 1: every iteration then shrinks ‖𝐱 − 1⊗x*‖ by √ρ at least, on every sequence of modes.
+
+    M_α = [[1 − 2αε/N + α²ι_F²/N, ασ(ι + ι_F + αιι_F)/√N], [·, σ²(1 + αι)²]] bounds the growth of
+    (‖consensus error‖, ‖disagreement‖)², with σ the largest ‖I − h L − 11ᵀ/N‖ over the modes, the factor by which
+    mixing shrinks disagreement; it is 1 as soon as a mode is disconnected.
+    """
+    if constants.epsilon <= 0:
+        return _strongly_monotone(constants)
+    alpha, players = law.step, constants.num_players
+    iota_strategies, iota = constants.iota_strategies, constants.iota_estimates
+    mixed = [np.eye(players) - law.mixing * graph.laplacian - 1 / players for graph in constants.graphs]
+    sigma = max(float(np.linalg.norm(matrix, 2)) for matrix in mixed)
+    mean = 1 - 2 * alpha * constants.epsilon / players + (alpha * iota_strategies) ** 2 / players
+    cross = alpha * sigma * (iota + iota_strategies + alpha * iota * iota_strategies) / np.sqrt(players)
+    contraction = np.array([[mean, cross], [cross, sigma**2 * (1 + alpha * iota) ** 2]])
+    return Condition.below("λ_max(M_α) < 1", float(np.linalg.eigvalsh(contraction)[-1]), 1.0, exact=constants.exact)
 
 
 @condition.register

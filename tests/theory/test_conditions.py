@@ -62,7 +62,7 @@ def test_only_links_that_act_again_and_again_count_as_s_grows():
 
 
 LAWS = [law for law in PARTS if law.startswith("law:") and law != "law:random"]
-WITHOUT_THEOREM = {"law:zero-input", "law:oracle", "law:observer-relay", "law:residual-coder", "law:projected-gradient"}
+WITHOUT_THEOREM = {"law:zero-input", "law:oracle", "law:observer-relay", "law:residual-coder"}
 
 
 @pytest.mark.parametrize("scenario", ["energy", "energy-switching", "non-quadratic", "ev-charging"])
