@@ -19,7 +19,7 @@ from pathlib import Path
 from ptne_env import CATALOGUE, evaluate
 from ptne_env.bench import Runner, Workers, leaderboard, run_suite
 from ptne_env.bench.robustness import robustness
-from ptne_env.evaluation import COMPARED, POLICIES, Results
+from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, Results
 from ptne_env.evaluation.metrics import number
 from ptne_env.shared.files import write_atomically
 
@@ -268,8 +268,9 @@ def run(out: Path, episodes: int | None, workers: Workers) -> None:
 
     runner = Runner(out, workers, show)
     compared = evaluate(COMPARED, CATALOGUE, episodes=episodes or 100, run=runner)
-    suite = run_suite("ptne-v1", POLICIES.values(), episodes=episodes, run=runner)
-    drawn = [run_suite(each, POLICIES.values(), episodes=episodes, run=runner) for each in WORLDS.values()]
+    entered = [POLICIES[name] for name in ENTERED]
+    suite = run_suite("ptne-v1", entered, episodes=episodes, run=runner)
+    drawn = [run_suite(each, entered, episodes=episodes, run=runner) for each in WORLDS.values()]
     rows = [row for each in (compared, suite, *drawn) for row in rows_of(each)]
     columns = ["suite", "track", "policy", "metric", "mean", "low", "high", "episodes"]
     lines = [columns, *([row.get(key, "") for key in columns] for row in rows)]

@@ -1,7 +1,7 @@
 """How much the tracks of ptne-v1 differ, and how sure its ranking is: ``python baselines/ranking.py``.
 
-It prints the pairs of scored tracks with the largest Spearman correlations over all entries that act on both, and
-Kendall's τ between the rankings by score with two seeds of the episodes. Oracles are no entries. Finished jobs are kept
+It prints the pairs of scored tracks with the largest Spearman correlations over all laws, and Kendall's τ between the
+rankings of all entries by score with two seeds of the episodes. Oracles are none of both. Finished jobs are kept
 in the folder ``--out``, which is that of ``publish.py``, and not run again.
 """
 
@@ -15,7 +15,7 @@ from pathlib import Path
 from scipy import stats
 
 from ptne_env.bench import Runner, Workers, leaderboard, run_suite
-from ptne_env.evaluation import POLICIES, Results
+from ptne_env.evaluation import ENTERED, POLICIES, Results
 
 SEEDS = (0, 1)
 """Of the episodes of the two rankings."""
@@ -36,12 +36,12 @@ def correlations(digits: Mapping[str, Mapping[str, float]]) -> list[tuple[float,
 
 
 def digits_of(results: Results) -> dict[str, dict[str, float]]:
-    """The mean digits on every scored track of all policies but oracles."""
+    """The mean digits on every scored track of all laws but oracles."""
     return {
         track.name: {
             name: digits.mean
             for name, digits in results.ranked(track.name).items()
-            if digits.mean is not None and not results.policies[name].is_oracle
+            if digits.mean is not None and not (results.policies[name].is_oracle or results.policies[name].files)
         }
         for track in results.tracks
         if track.scored
@@ -65,9 +65,8 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=10)
     given = parser.parse_args()
     runner = Runner(given.out, Workers(given.jobs))
-    first, second = (
-        run_suite("ptne-v1", POLICIES.values(), episodes=given.episodes, seed=seed, run=runner) for seed in SEEDS
-    )
+    entered = [POLICIES[name] for name in ENTERED]
+    first, second = (run_suite("ptne-v1", entered, episodes=given.episodes, seed=seed, run=runner) for seed in SEEDS)
     for value, *tracks in correlations(digits_of(first))[: given.pairs]:
         print(f"Spearman {value:.3f}  {' and '.join(tracks)}")
     print(f"Kendall's tau between seeds {SEEDS[0]} and {SEEDS[1]}: {agreement(first, second):.3f}")

@@ -16,7 +16,7 @@ from ptne_env.bench.suite import SUITES, get_suite, world_names
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, ExitCode, app
 from ptne_env.cli.console import STDOUT, check_writable, console, progress, say, write_json
-from ptne_env.evaluation import COMPARED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
+from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
 from ptne_env.evaluation.run import EPISODES
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.names import unknown_name
@@ -60,8 +60,8 @@ def compare(
         typer.Option(
             help="A policy by name, an .onnx or .npz file, a Stable-Baselines3 .zip, 'module:object' that is called "
             "with the layout and returns something with predict(), or 'name=pattern' for the files of several training "
-            "seeds; separate several by commas, or repeat. If left out: every policy that 'ptne list' shows; on "
-            "scenarios, the paper's laws, references, the strongest laws and learned policies.",
+            "seeds; separate several by commas, or repeat. If left out: every policy that 'ptne list' shows but "
+            "specialists; on scenarios, the paper's laws, references, the strongest laws and learned policies.",
             autocompletion=_complete_policy,
         ),
     ] = None,
@@ -171,7 +171,7 @@ def _results(
 ) -> Results:
     """The results on tracks of a suite, on all without places, or on scenarios."""
     if suite is not None:
-        chosen = policies or list(POLICIES.values())
+        chosen = policies or [POLICIES[name] for name in ENTERED]
         return run_suite(suite, chosen, tracks=places or None, episodes=episodes, seed=seed, run=run)
     for name in places:
         if name in POLICIES:

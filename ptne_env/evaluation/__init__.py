@@ -8,6 +8,7 @@
 """
 
 from ptne_env.evaluation.entries import COMPARED as COMPARED
+from ptne_env.evaluation.entries import ENTERED as ENTERED
 from ptne_env.evaluation.entries import POLICIES as POLICIES
 from ptne_env.evaluation.entries import PolicySpec as PolicySpec
 from ptne_env.evaluation.entries import get_policy_spec as get_policy_spec

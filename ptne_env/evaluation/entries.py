@@ -246,10 +246,6 @@ _COMPARED = {
 _OTHERS = {
     "ppo-ptne-v1": _network("ptne-v1"),
     "recurrent-random-worlds": _recurrent("random-worlds", "in 23 worlds outside of the suites"),
-    "recurrent-random-energy-switching": _recurrent("random-energy-switching", "in games of this scenario"),
-    "recurrent-random-energy-switching-transformed": _recurrent(
-        "random-energy-switching-transformed", "in games of this scenario"
-    ),
     "static-tuned": _entry("law:static", "The static law with tuned weights.", kappa=2.2, gradient_gain=2.94),
     "adaptive-grounded": _entry(
         "law:adaptive-grounded",
@@ -280,11 +276,18 @@ _OTHERS = {
         mixing=0.45,
     ),
 }
-_TABLE = _COMPARED | _OTHERS
+_SPECIALISTS = {
+    f"recurrent-{name}": _recurrent(name, "in games of this scenario")
+    for name in ("random-energy-switching", "random-energy-switching-transformed")
+}
+_TABLE = _COMPARED | _OTHERS | _SPECIALISTS
 """By name: the part, a sentence, and the arguments."""
 
 COMPARED = tuple(_COMPARED)
-"""The default policies of a comparison: laws of the paper, references, the strongest laws, learned policies."""
+"""The default policies on scenarios: laws of the paper, references, the strongest laws, learned policies."""
+
+ENTERED = (*_COMPARED, *_OTHERS)
+"""The default policies on a suite: all but networks that were trained in one scenario, which are slow elsewhere."""
 
 
 class _Policies(Mapping[str, PolicySpec]):
