@@ -177,7 +177,8 @@ def _declared_interface(source: PolicySource) -> Interface | None:
     if isinstance(source, FactorySpec):
         found = source.build() if source.target in _LIBRARIES else source.resolve()
     declared: Any = getattr(found, "interface", None)
-    return Interface(declared) if isinstance(declared, str) else declared
+    is_kind = isinstance(declared, str)
+    return Interface(declared) if is_kind else declared
 
 
 def _file_of(source: PolicySource) -> str | None:
