@@ -79,7 +79,7 @@ def train(
     """
     extra = "jax" if through_world else "sb3"
     try:
-        from ptne_env.learn.training.configuration import Configuration, is_finished
+        from ptne_env.learn.training.configuration import Configuration, finished
         from ptne_env.learn.training.curve import draw, yardsticks
 
         trainer = import_module(f"ptne_env.learn.training.{'through_world' if through_world else 'ppo'}")
@@ -100,7 +100,7 @@ def train(
         runs = {out / f"seed-{each.seed}": each for each in series}
     picture = out / "learning-curve.png"
     check_writable(json, picture, *(folder / trainer.POLICY for folder in runs))
-    ended = [folder for folder, each in runs.items() if is_finished(each, folder, trainer.POLICY)]
+    ended = [folder for folder, each in runs.items() if finished(each, folder, trainer.POLICY)]
     summaries = _train(runs, trainer)
     found = [asdict(summary) for summary in summaries.values()]
     write_json(json, json_text(found[0] if seeds is None else found))

@@ -123,8 +123,6 @@ class PolicySpec:
                 built = source(layout)
             if hasattr(built, "with_layout"):  # one object plays many worlds
                 built = built.with_layout(layout)
-            if hasattr(built, "require"):
-                built.require(layout)
         except (LayoutError, MemoryError):
             raise
         except Exception as error:

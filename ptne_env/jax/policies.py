@@ -50,8 +50,8 @@ class Policy:
         """A copy with other ``params`` or another field."""
         return replace(self, **changes)
 
-    def require(self, layout: ObservationLayout) -> None:
-        """Check that it was made for a layout like this one.
+    def with_layout(self, layout: ObservationLayout) -> Policy:
+        """The policy itself, which was made for a layout like this one.
 
         Raises:
             LayoutError: when it was made for another.
@@ -63,6 +63,7 @@ class Policy:
             layout.slots,
         ):
             raise LayoutError("this policy was made for other players, neighbour slots or another interface")
+        return self
 
     def predict(
         self,
@@ -138,7 +139,7 @@ def rollout(
     """
     if policy.interface != world.layout.interface:
         raise LayoutError(f"the policy acts through {policy.interface}, and the world has {world.layout.interface}")
-    policy.require(world.layout)
+    policy = policy.with_layout(world.layout)
     of_player = jax.vmap(policy.act, in_axes=(None, -1, -1), out_axes=-1)
     of_all = jax.vmap(of_player, in_axes=(None, -1, -1), out_axes=-1)
 

@@ -56,6 +56,4 @@ def load_archive(path: str, layout: ObservationLayout | None = None) -> LearnedP
     interface = Interface("scaled" if is_scaled else "physical")
     made_for = {"interface": interface, "size": len(observations.low), "action_size": len(actions.low)}
     policy = LearnedPolicy(Path(path).stem, made_for, network.predict)
-    if layout is not None:
-        policy.require(layout)
-    return policy
+    return policy if layout is None else policy.with_layout(layout)

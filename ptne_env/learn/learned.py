@@ -146,8 +146,8 @@ class LearnedPolicy:
         self._made_for = made_for  # attributes of a layout, among them its size
         self._decide = decide  # as predict, for whole blocks
 
-    def require(self, layout: ObservationLayout) -> None:
-        """Check that the policy can act in an environment of this layout.
+    def with_layout(self, layout: ObservationLayout) -> LearnedPolicy:
+        """The policy itself, which can act in an environment of this layout.
 
         Raises:
             PolicyLayoutError: naming the attributes in which it differs.
@@ -155,6 +155,7 @@ class LearnedPolicy:
         pairs = [(name, mine, getattr(layout, name)) for name, mine in self._made_for.items()]
         if found := [f"{name}: policy {mine}, environment {theirs}" for name, mine, theirs in pairs if mine != theirs]:
             raise PolicyLayoutError(f"the policy was made for another layout; {'; '.join(found)}")
+        return self
 
     def predict(
         self,
@@ -230,12 +231,7 @@ def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> L
 
     opened = _opened if path.suffix == ".onnx" else recurrent.opened
     policy: LearnedPolicy | RecurrentPolicy = opened(path, path.read_bytes())
-    if layout is None:
-        return policy
-    if isinstance(policy, recurrent.RecurrentPolicy):
-        return policy.with_layout(layout)
-    policy.require(layout)
-    return policy
+    return policy if layout is None else policy.with_layout(layout)
 
 
 def _opened(path: Path, content: bytes) -> LearnedPolicy:

@@ -1,9 +1,9 @@
 """A recurrent policy: a small network that messages pass through, in numpy and in JAX, its player and its file.
 
 The network is written once, for numpy, which plays, and for JAX, which trains it
-(:mod:`ptne_env.learn.through_world`). Players, components and neighbours share all weights, and neighbours are pooled,
-so one file plays any number of each. It has observations in units of σ_i, memory and generic layers; nothing in it
-estimates, identifies or imitates.
+(:mod:`ptne_env.learn.training.through_world`). Players, components and neighbours share all weights, and neighbours are
+pooled, so one file plays any number of each. It has observations in units of σ_i, memory and generic layers; nothing in
+it estimates, identifies or imitates.
 
 The last axis of arrays are M players, of all environments. Before it are n components and D neighbour slots, and before
 those the features: (F, D, n, M).

@@ -13,7 +13,7 @@ from ptne_env.bench.files import read_json
 from ptne_env.bench.suite import world_names
 from ptne_env.learn.training import CONFIGURATIONS, configurations
 from ptne_env.shared.arrays import require_count, require_positive, require_printable, require_probability
-from ptne_env.shared.files import DamagedFileError, require_file
+from ptne_env.shared.files import DamagedFileError, require_file, write_atomically
 from ptne_env.shared.names import unknown_name
 
 
@@ -105,6 +105,15 @@ def _values(name: str) -> dict[str, Any]:
         raise DamagedFileError(f"{path} is not a TOML file: {error}") from error
 
 
+SUMMARY, CONFIGURATION = "summary.json", "configuration.json"
+"""Names of two files of a run."""
+
+
+def write_record(path: Path, record: Any) -> None:
+    """Write a dataclass, the configuration or the summary of a run, as JSON."""
+    write_atomically(path, json.dumps(dataclasses.asdict(record), indent=2) + "\n")
+
+
 @dataclass(frozen=True)
 class Summary:
     """A finished run.
@@ -124,19 +133,21 @@ class Summary:
     digits: float
 
 
-def is_finished(configuration: Any, out: Path, policy: str) -> bool:
-    """Whether a folder holds the finished run of a configuration, a dataclass, with the file of its policy.
+def finished(configuration: Any, out: Path, policy: str) -> Summary | None:
+    """The summary of the finished run of a configuration, a dataclass, with the file of its policy in a folder, if any.
 
     Raises:
         ValueError: when it holds a run of another configuration.
     """
-    path = out / "configuration.json"
+    path = out / CONFIGURATION
     if not path.exists():
-        return False
+        return None
     theirs = read_json(path, "the configuration of a training run")
     mine: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(configuration)))
     different = [name for name in sorted(mine.keys() | theirs.keys()) if mine.get(name) != theirs.get(name)]
     if different:
         differences = ", ".join(f"{name} is {theirs.get(name)} there and {mine.get(name)} here" for name in different)
         raise ValueError(f"{out} holds another run: {differences}; choose another folder, or remove this one")
-    return (out / "summary.json").exists() and (out / policy).exists()
+    if not ((out / SUMMARY).exists() and (out / policy).exists()):
+        return None
+    return Summary(**read_json(out / SUMMARY, "the summary of a training run"))

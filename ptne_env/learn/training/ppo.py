@@ -9,7 +9,6 @@ games and other noise from there on, so it ends with another policy.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -24,11 +23,10 @@ from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback,
 from stable_baselines3.common.utils import LinearSchedule
 
 from ptne_env.bench import find_scenario
-from ptne_env.bench.files import read_json
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import PolicySpec, evaluate
 from ptne_env.learn.learned import load
-from ptne_env.learn.training.configuration import Configuration, Summary, is_finished
+from ptne_env.learn.training.configuration import CONFIGURATION, SUMMARY, Configuration, Summary, finished, write_record
 from ptne_env.learn.training.export import to_onnx
 from ptne_env.shared.files import write_atomically
 from ptne_env.world.scenario import Scenario
@@ -45,7 +43,7 @@ EVALUATIONS = 10
 GAMES, VALIDATION_EPISODES = 20, 200
 """Games of an evaluation, and episodes on which the exported policy is validated."""
 
-_SUMMARY, _CONFIGURATION, _CHECKPOINTS = "summary.json", "configuration.json", "checkpoints"
+_CHECKPOINTS = "checkpoints"
 _EVALUATION_SEED = 1_000_000
 
 
@@ -66,8 +64,8 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
         ValueError: for values that do not fit each other or an unknown scenario, when ``out`` holds a run with another
             configuration or a damaged one, and when the trained policy fails on a validation episode.
     """
-    if is_finished(configuration, out, POLICY):
-        return Summary(**read_json(out / _SUMMARY, "the summary of a training run"))
+    if (ended := finished(configuration, out, POLICY)) is not None:
+        return ended
     began = monotonic()
     torch.set_num_threads(1)  # the networks are small: a second thread costs more time than it saves
     scenario = find_scenario(configuration.scenario)
@@ -75,7 +73,7 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     model = PPO("MlpPolicy", env, **settings(configuration, env.num_envs))
     checkpoints = out / _CHECKPOINTS
     model.num_timesteps = resumed_at = _restore(model, checkpoints)
-    write_atomically(out / _CONFIGURATION, json.dumps(asdict(configuration), indent=2) + "\n")
+    write_record(out / CONFIGURATION, configuration)
     rollouts = -(-configuration.steps // (configuration.rollout * env.num_envs))  # the last one is a whole one
     calls = -(-rollouts * configuration.rollout // EVALUATIONS)  # steps of all environments together
     evaluation = EvalCallback(
@@ -93,7 +91,7 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     digits = _validated(exported, scenario)
     write_atomically(out / POLICY, exported)
     summary = Summary(model.num_timesteps, resumed_at, monotonic() - began, digits)
-    write_atomically(out / _SUMMARY, json.dumps(asdict(summary), indent=2) + "\n")
+    write_record(out / SUMMARY, summary)
     return summary
 
 

@@ -9,7 +9,6 @@ and the learning curve, ``evaluations.npz``.
 from __future__ import annotations
 
 import io
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -23,7 +22,6 @@ import numpy as np
 import optax
 
 import ptne_env.jax
-from ptne_env.bench.files import read_json
 from ptne_env.bench.suite import find_scenario
 from ptne_env.evaluation.tracks import Track
 from ptne_env.learn.learned import load
@@ -37,15 +35,13 @@ from ptne_env.learn.recurrent import (
     read,
     sealed,
 )
-from ptne_env.learn.training.configuration import Summary, is_finished
+from ptne_env.learn.training.configuration import CONFIGURATION, SUMMARY, Summary, finished, write_record
 from ptne_env.shared.arrays import require_count, require_positive, require_probability, without_gradient
 from ptne_env.shared.files import write_atomically
 from ptne_env.world import distances
 
 POLICY = "policy.npz"
 """Name of the file of the policy."""
-
-_SUMMARY, _CONFIGURATION = "summary.json", "configuration.json"
 
 
 @dataclass(frozen=True)
@@ -194,8 +190,8 @@ def train(
     Raises:
         ValueError: for an unknown scenario, or when ``out`` holds a run with other settings or a damaged one.
     """
-    if is_finished(settings, out, POLICY):
-        return Summary(**read_json(out / _SUMMARY, "the summary of a training run"))
+    if (ended := finished(settings, out, POLICY)) is not None:
+        return ended
     jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
     began = saved = monotonic()
     tracks = tracks or [Track(settings.scenario, find_scenario(settings.scenario), "")]
@@ -215,7 +211,7 @@ def train(
     memory, curve = optimiser.init(weights), np.zeros((0, 2))
     key = jax.random.fold_in(jax.random.key(settings.seed), resumed_at)
     lessons = [Lesson(track, settings, optimiser, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
-    write_atomically(out / _CONFIGURATION, json.dumps(asdict(settings), indent=2) + "\n")
+    write_record(out / CONFIGURATION, settings)
     for done in range(resumed_at + 1, settings.updates + 1):
         lesson = lessons[done % len(lessons)]
         weights, memory, digits = lesson.update(weights, memory)
@@ -238,7 +234,7 @@ def train(
     np.savez(buffer, timesteps=[part[:, 0].mean() for part in parts], results=[part[:, 1:].mean(0) for part in parts])
     write_atomically(out / "evaluations.npz", buffer.getvalue())
     summary = Summary(steps, resumed_at, monotonic() - began, _late(curve))
-    write_atomically(out / _SUMMARY, json.dumps(asdict(summary), indent=2) + "\n")
+    write_record(out / SUMMARY, summary)
     return summary
 
 
