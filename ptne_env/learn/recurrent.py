@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from ptne_env.learn.learned import PolicyFileError, PolicyLayoutError
 from ptne_env.perception.observation import Interface, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, fold, is_numpy, without_gradient
+from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, is_numpy, ordered_sum, without_gradient
 
 Weights = dict[str, Any]
 """The weights of a network by name, float32, of numpy or of JAX."""
@@ -64,7 +64,7 @@ def read(layout: ObservationLayout, observations: Any, player: npt.NDArray[np.in
     tables = layout.own_mask, layout.neighbour_components, np.eye(layout.dimension + 1)[layout.own_components, :-1]
     own, leads, places = (np.moveaxis(table[player], 0, -1).astype(np.float32, order="C") for table in tables)
     return Seen(
-        gradient=_sum(parts["own_gradient"][:, None] * places, 0),
+        gradient=ordered_sum(parts["own_gradient"][:, None] * places, 0),
         relative=parts["relative_estimates"].reshape(layout.slots, layout.dimension, -1),
         live=parts["weights"] > 0,
         own=own,
@@ -140,10 +140,10 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
     slot_hidden = _gated(slot_inputs, weights["slot_again"], slot_hidden)
     logits = xp.where(live, 4 * _linear(weights["gate"], slot_hidden)[0], -1e3)
     chances = xp.exp(logits - without_gradient(logits.max(0))) * live
-    attention = chances / xp.maximum(_sum(chances, 0), 1.0)  # the sum is at least 1 if any is live
+    attention = chances / xp.maximum(ordered_sum(chances, 0), 1.0)  # the sum is at least 1 if any is live
     count = xp.maximum(live.sum(0), 1).astype(np.float32)
-    pooled, chosen = _sum(slot_hidden * live, 1) / count, _sum(slot_hidden * attention, 1)
-    context = [_sum(hidden, 1) / hidden.shape[1], _sum(hidden * seen.own, 1) / seen.own.sum(0)]
+    pooled, chosen = ordered_sum(slot_hidden * live, 1) / count, ordered_sum(slot_hidden * attention, 1)
+    context = [ordered_sum(hidden, 1) / hidden.shape[1], ordered_sum(hidden * seen.own, 1) / seen.own.sum(0)]
     inputs = [
         _linear(weights["in"][gate], components)
         + _linear(weights["pooled"][gate], pooled)
@@ -155,7 +155,7 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
     amplitude, rate, free = _linear(weights["out"], hidden) + weights["out_bias"][:, :, None]
     gates = (1 + xp.tanh(amplitude)) * attention
     step = 0.3 * xp.exp(xp.clip(rate, -7, 3)) * seen.gradient
-    wanted = _sum(gates * seen.relative, 0) - step + 0.1 * free * scale
+    wanted = ordered_sum(gates * seen.relative, 0) - step + 0.1 * free * scale
     theta = xp.maximum(seen.clock[2], 1e-9)
     inputs = xp.clip(wanted / theta, -layout.action_bound, layout.action_bound)
     moved = without_gradient(theta * inputs)
@@ -223,11 +223,6 @@ def _linear(weight: Any, array: Any) -> Any:
     of_players = np.ascontiguousarray(np.moveaxis(array, -1, 0)).reshape(array.shape[-1], len(array), -1)
     product = np.ascontiguousarray(np.moveaxis(weight @ of_players, 0, -1))
     return product.reshape(-1, *array.shape[1:])
-
-
-def _sum(array: Any, axis: int) -> Any:
-    """The sum along an axis; numpy's in order, which else depends on the number of players."""
-    return fold(np.add, array, axis) if is_numpy(array) else array.sum(axis)
 
 
 def _gated(inputs: Sequence[Any], weights: Any, hidden: Any) -> Any:

@@ -158,7 +158,7 @@ def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:
         # Compiled, a sum of few terms is several times as fast as a reduction.
         terms = array_namespace(array).moveaxis(array, axis, 0)
         return reduce(add, terms) if 0 < len(terms) <= _FEW else terms.sum(0)
-    if array.dtype == np.float64 and array.size >= _MANY * array.shape[axis] > 0:
+    if array.dtype.kind == "f" and array.size >= _MANY * array.shape[axis] > 0:
         return fold(np.add, array, axis)
     return np.add.accumulate(array, axis=axis).take(-1, axis=axis)
 
