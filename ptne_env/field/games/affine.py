@@ -89,20 +89,12 @@ class WeaklyMonotoneGame(AffineGame):
     The first player leads and the others follow, c_1 = a x_1 Σ_{j>1} x_j and c_i = −a x_i x_1. So
     dF = 2 (I − 11ᵀ/N) + a K with K skew-symmetric: each J_i is strictly convex in x_i and F is monotone, but not
     strongly: no cost depends on the mean alone, so 1ᵀ dF 1 = 0 and Assumption 4 fails. Yet dF is regular and the
-    equilibrium unique.
-
-    Args:
-        demand: d_i, which sets N.
-        rotation: a > 0.
-
-    Raises:
-        ValueError: when ``rotation`` is not positive or a number is not finite.
+    equilibrium unique. Here N = 5, d_i = i and a = 0.5.
     """
 
-    def __init__(self, demand: Sequence[float] = (1.0, 2.0, 3.0, 4.0, 5.0), rotation: float = 0.5) -> None:
-        demands = np.asarray(demand, dtype=np.float64)
-        players = demands.size
+    def __init__(self) -> None:
+        players, rotation = 5, 0.5
         follow = np.zeros((players, players))
         follow[0, 1:], follow[1:, 0] = 1.0, -1.0
         agree = 2 * (np.eye(players) - 1 / players)
-        super().__init__(agree + require_positive("rotation", rotation) * follow, -demands)
+        super().__init__(agree + rotation * follow, -np.arange(1.0, 1 + players))

@@ -12,6 +12,9 @@ from ptne_env.games.base import Game
 from ptne_env.games.family import GameFamily, SingleGame
 from ptne_env.shared.arrays import ordered_sum, require_count
 
+_TIGHTNESS = -0.1, 0.3
+"""The range of t_l."""
+
 
 def priced(game: Game, constraint: npt.ArrayLike, limit: npt.ArrayLike) -> AffineGame:
     """``game`` with the shared constraint C x ≤ b and one player more: the market operator, which prices it.
@@ -67,13 +70,12 @@ class CoupledConstraint(GameFamily):
     """The games of another family with m random shared constraints C x ≤ b, priced by an operator (:func:`priced`).
 
     C_lk ~ U(0, 1) is the load of strategy k on line l, and b_l = C_l x° − t_l ‖C_l‖ ‖x°‖ with x° the equilibrium
-    without constraints and t_l ~ U(tightness): the distance of x° from the half-space, relative to ‖x°‖. So line l
-    alone is active at the equilibrium where t_l > 0, three of four by default.
+    without constraints and t_l ~ U(−0.1, 0.3): the distance of x° from the half-space, relative to ‖x°‖. So line l
+    alone is active at the equilibrium where t_l > 0, three of four.
 
     Args:
         game: an affine game or a family of affine games, without bounds.
         lines: m ≥ 1.
-        tightness: range of t_l.
 
     Raises:
         ValueError: when the game is not affine or has bounds, or a number is out of range.
@@ -81,22 +83,18 @@ class CoupledConstraint(GameFamily):
 
     is_strongly_monotone = False
 
-    def __init__(self, game: Game | GameFamily, lines: int = 2, tightness: tuple[float, float] = (-0.1, 0.3)) -> None:
+    def __init__(self, game: Game | GameFamily, lines: int = 2) -> None:
         self._family = SingleGame(game) if isinstance(game, Game) else game
         if self._family.representative.has_bounds:
             raise ValueError("CoupledConstraint needs a game without bounds, which need not agree with the constraint")
         self.lines = require_count("lines", lines, 1)
-        low, high = tightness
-        if not -np.inf < low <= high < np.inf:
-            raise ValueError(f"tightness is a finite range low ≤ high, got {tightness!r}")
-        self.tightness = float(low), float(high)
         self.representative = self.draw([np.random.default_rng(0)])
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
         """One priced game per generator."""
         game = self._family.draw(generators)
         unit = np.stack([generator.random((self.lines, game.dimension + 1)) for generator in generators], axis=-1)
-        loads, (low, high) = unit[:, :-1], self.tightness
+        loads, (low, high) = unit[:, :-1], _TIGHTNESS
         free = np.broadcast_to(game.nash_equilibria, (game.dimension, len(generators)))
         shift = np.sqrt(ordered_sum(loads**2, axis=1) * ordered_sum(free**2))
         limits = ordered_sum(loads * free, axis=1) - (low + (high - low) * unit[:, -1]) * shift

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ptne_env.games.affine import AffineGame, times
 from ptne_env.shared.arrays import FloatArray, frozen
 
 _LINKS = ((0, 1), (1,), (0, 2), (1, 2), (0,))
+"""The markets that each firm is linked to."""
+
+_FIRMS = (0.6, 0.8, 0.5, 0.7, 0.9), (2.0, 3.0, 8.5, 4.0, 2.5), (4.0, 6.0, 3.0, 5.0, 4.0)
+"""q_i of the cost of production, marginal cost c_i and capacity X_i of each firm."""
 
 
 class NetworkedCournot(AffineGame):
@@ -19,45 +21,14 @@ class NetworkedCournot(AffineGame):
     to its capacity per market. F is strongly monotone with ε ≥ min (q_i + χ_m), for dF = diag(q_i + χ_m) + Bᵀ diag(χ) B
     with B the incidence matrix of markets and deliveries. The model is that of K. Bimpikis, S. Ehsani and R. Ilkiliç,
     "Cournot competition in networked markets", Management Science 65(6), 2019, with linear demand, and a capacity; the
-    default numbers are ours. At their equilibrium two firms are at capacity, and one delivery is 0.
-
-    Args:
-        links: markets of each firm, counted from 0; their number is n_i.
-        price: P_m > 0, the price in an empty market.
-        slope: χ_m > 0.
-        curvature: q_i ≥ 0 of the cost of production.
-        marginal_cost: c_i.
-        capacity: X_i > 0.
-
-    Raises:
-        ValueError: when lengths disagree, a market does not exist or has no firm, or a number is out of range.
+    numbers are ours. At their equilibrium two firms are at capacity, and one delivery is 0.
     """
 
-    def __init__(
-        self,
-        links: Sequence[Sequence[int]] = _LINKS,
-        price: Sequence[float] = (14.0, 12.0, 10.0),
-        slope: Sequence[float] = (0.6, 0.5, 0.4),
-        curvature: Sequence[float] = (0.6, 0.8, 0.5, 0.7, 0.9),
-        marginal_cost: Sequence[float] = (2.0, 3.0, 8.5, 4.0, 2.5),
-        capacity: Sequence[float] = (4.0, 6.0, 3.0, 5.0, 4.0),
-    ) -> None:
-        prices, slopes = np.asarray(price, dtype=np.float64), np.asarray(slope, dtype=np.float64)
-        firms = [np.asarray(values, dtype=np.float64) for values in (curvature, marginal_cost, capacity)]
-        if prices.shape != slopes.shape or any(values.shape != (len(links),) for values in firms):
-            raise ValueError(
-                "NetworkedCournot needs one price and slope per market, and one curvature, marginal_cost and capacity "
-                f"per firm ({len(links)} in links)"
-            )
-        markets = np.array([market for row in links for market in row], dtype=np.int64)
-        if sorted(set(markets.tolist())) != list(range(prices.size)) or any(len(set(row)) < len(row) for row in links):
-            raise ValueError(
-                f"links name markets 0..{prices.size - 1}, each at least once and once per firm, got {links!r}"
-            )
-        if not (slopes.min() > 0 and prices.min() > 0 and firms[0].min() >= 0 and firms[2].min() > 0):
-            raise ValueError("NetworkedCournot needs price, slope and capacity > 0 and curvature ≥ 0")
-        dims = [len(row) for row in links]
-        curvatures, costs, capacities = (np.repeat(values, dims) for values in firms)
+    def __init__(self) -> None:
+        prices, slopes = np.array([14.0, 12.0, 10.0]), np.array([0.6, 0.5, 0.4])
+        markets = np.array([market for row in _LINKS for market in row])
+        dims = [len(row) for row in _LINKS]
+        curvatures, costs, capacities = (np.repeat(values, dims) for values in _FIRMS)
         self.deliveries = frozen(markets == np.arange(prices.size)[:, None])
         self._price, self._slope = frozen(prices[markets][:, None]), frozen(slopes[markets][:, None])
         self._curvature, self._marginal = frozen(curvatures[:, None]), frozen(costs[:, None])
@@ -80,29 +51,11 @@ class Oligopoly(AffineGame):
     a small R_i means that they prefer firm i. Minus the profit is minimised; dF is symmetric and diagonally dominant,
     so F is strongly monotone. The model is that of P. Frihauf, M. Krstić and T. Başar, "Nash equilibrium seeking in
     noncooperative games", IEEE Transactions on Automatic Control 57(5), 2012, where prices need not be known to
-    competitors. The default numbers are ours.
-
-    Args:
-        preference: R_i > 0, which sets N.
-        marginal_cost: m_i.
-        demand: S > 0.
-
-    Raises:
-        ValueError: when lengths disagree or a number is out of range.
+    competitors. The numbers are ours.
     """
 
-    def __init__(
-        self,
-        preference: Sequence[float] = (0.15, 0.30, 0.60, 1.0),
-        marginal_cost: Sequence[float] = (30.0, 30.0, 25.0, 20.0),
-        demand: float = 100.0,
-    ) -> None:
-        resistances, marginal = np.asarray(preference, dtype=np.float64), np.asarray(marginal_cost, dtype=np.float64)
-        if resistances.shape != marginal.shape or not (resistances.min(initial=np.inf) > 0 and demand > 0):
-            raise ValueError(
-                "Oligopoly needs one preference > 0 and one marginal_cost per firm and a demand > 0, got "
-                f"{preference!r}, {marginal_cost!r} and {demand!r}"
-            )
+    def __init__(self) -> None:
+        resistances, marginal, demand = np.array([0.15, 0.30, 0.60, 1.0]), np.array([30.0, 30.0, 25.0, 20.0]), 100.0
         conductances = 1 / resistances
         parallel = 1 / conductances.sum()
         others = conductances.sum() - conductances

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ptne_env.games.affine import times
@@ -11,6 +9,7 @@ from ptne_env.games.base import Game
 from ptne_env.shared.arrays import FloatArray, array_namespace, frozen, product
 
 _ROUTES = ((0,), (0, 1), (1, 2), (2,), (0, 2))
+"""The links that each user's data pass."""
 
 
 class RateControl(Game):
@@ -21,36 +20,12 @@ class RateControl(Game):
     congestion control in general topology networks", IEEE Conference on Decision and Control, 2002. The numbers are
     ours. dF = diag(w_i/(1 + x_i)² + Σ_{l∈route i} a_l) + Rᵀ diag(a) R with R the routing matrix, so F is strongly
     monotone on x > −1 with ε ≥ min_i Σ_{l∈route i} a_l. Costs are defined for x_i > −1 only, which the box ensures.
-
-    Args:
-        routes: links of each user, counted from 0; its length sets N.
-        utility: w_i > 0.
-        congestion: a_l > 0 of each link.
-        limit: X_i > 0, the largest rate of each user.
-
-    Raises:
-        ValueError: when lengths disagree, a link does not exist, or a number is out of range.
     """
 
-    def __init__(
-        self,
-        routes: Sequence[Sequence[int]] = _ROUTES,
-        utility: Sequence[float] = (6.0, 8.0, 9.0, 7.0, 10.0),
-        congestion: Sequence[float] = (0.4, 0.5, 0.3),
-        limit: Sequence[float] = (2.0, 4.0, 4.0, 2.0, 4.0),
-    ) -> None:
-        weights, prices, limits = (np.asarray(values, dtype=np.float64) for values in (utility, congestion, limit))
-        if weights.shape != (len(routes),) or limits.shape != (len(routes),) or prices.ndim != 1:
-            raise ValueError(
-                f"RateControl needs one utility and one limit per user ({len(routes)} in routes) and one congestion "
-                f"per link, got {utility!r}, {limit!r} and {congestion!r}"
-            )
-        if not (min(weights.min(), prices.min(), limits.min()) > 0 and np.isfinite([*weights, *prices]).all()):
-            raise ValueError("RateControl needs utility, congestion and limit above 0")
-        if any(not row or not set(row) <= set(range(prices.size)) for row in routes):
-            raise ValueError(f"routes name links 0..{prices.size - 1}, at least one per user, got {routes!r}")
-        super().__init__((1,) * len(routes), low=0.0, high=limits)
-        uses = np.array([[link in row for row in routes] for link in range(prices.size)], dtype=np.float64)
+    def __init__(self) -> None:
+        weights, prices = np.array([6.0, 8.0, 9.0, 7.0, 10.0]), np.array([0.4, 0.5, 0.3])
+        super().__init__((1,) * len(_ROUTES), low=0.0, high=[2.0, 4.0, 4.0, 2.0, 4.0])
+        uses = np.array([[link in row for row in _ROUTES] for link in range(prices.size)], dtype=np.float64)
         self.utility = frozen(weights[:, None])
         # Entry (i, k) is the sum of the prices of the links that users i and k share.
         self._shared = frozen((uses.T @ np.diag(prices) @ uses)[:, :, None])
