@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ptne_env.bench import find_scenario
-from ptne_env.bench.report.video import save_video
+from ptne_env.bench.report.video import MOST_PICTURES, save_video
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, progress, say
@@ -22,16 +22,18 @@ def render(
     *,
     out: Annotated[
         Path,
-        typer.Option(help="The video, a .gif, or a page to scrub through, a .html."),
+        typer.Option(help="The file: a video, .gif, or a page with the episode to play, .html."),
     ],
     seed: options.Seed = 0,
-    pictures: Annotated[int, typer.Option(min=2, help="Pictures of a video; a page shows every step.")] = 100,
+    pictures: Annotated[
+        int, typer.Option(min=2, max=MOST_PICTURES, help="Pictures of a video; a page shows every step.")
+    ] = 100,
     trust: options.Trust = False,
 ) -> None:
-    """Write an episode as a video: strategies, estimates, distances and live links over time."""
+    """Write one test episode as a video or a page: strategies, estimates, distances and live links over time."""
     check_writable(out)
     trust = options.trusted(options.foreign_names(scenario, policy), trust=trust)
     chosen, spec = find_scenario(scenario), get_policy_spec(policy, trust=trust)
     with progress(f"{scenario}: {policy}") as advance:
         save_video(chosen, spec, out, seed=seed, pictures=pictures, progress=advance)
-    say(f"Video written to {out}")
+    say(f"Episode written to {out}")

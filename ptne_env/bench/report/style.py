@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import AbstractContextManager
+import signal
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any
 
@@ -59,8 +61,12 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-def drawing(purpose: str, changes: Mapping[Any, Any] = MappingProxyType({})) -> AbstractContextManager[None]:
+@contextmanager
+def drawing(purpose: str, changes: Mapping[Any, Any] = MappingProxyType({})) -> Iterator[None]:
     """A context in which matplotlib draws in the style of this library.
+
+    Ctrl-C waits for its end: matplotlib turns a ``KeyboardInterrupt`` into a ``ValueError`` where it draws a path, and
+    loses it where it forgets an artist.
 
     Args:
         purpose: the name of the pictures, for the message: ``"figures"``.
@@ -73,4 +79,20 @@ def drawing(purpose: str, changes: Mapping[Any, Any] = MappingProxyType({})) -> 
         from matplotlib import rc_context
     except ImportError as error:
         raise ImportError(f'{purpose} need matplotlib: pip install "ptne-env[bench]"') from error
-    return rc_context({**_STYLE, **changes})
+    with _ctrl_c_waits(), rc_context({**_STYLE, **changes}):
+        yield
+
+
+@contextmanager
+def _ctrl_c_waits() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():  # others never see Ctrl-C
+        yield
+        return
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            signal.raise_signal(signal.SIGINT)

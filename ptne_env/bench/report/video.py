@@ -28,6 +28,9 @@ FORMATS = (".gif", ".html")
 PER_SECOND = 20
 """Pictures per second."""
 
+MOST_PICTURES = 500
+"""Pictures of a video at most: all of them are in memory until they share a palette, 1.5 MB each."""
+
 _HOLD = 2
 """Seconds for which the last picture stays."""
 
@@ -52,14 +55,15 @@ def save_video(
         progress: called with the number of pictures that are drawn and of all.
 
     Raises:
-        ValueError: for another suffix, or a policy that cannot act in the scenario.
+        ValueError: for another suffix, for fewer than 2 or more than 500 pictures, or a policy that cannot act in the scenario.
         ImportError: when a library is missing, naming the extra to install.
         OSError: when the file cannot be written.
     """
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise ValueError(f"a video is written to {', '.join(FORMATS)}, got {path.name!r}")
-    require_count("pictures", pictures, 2)
+    if require_count("pictures", pictures, 2) > MOST_PICTURES:
+        raise ValueError(f"a video has at most {MOST_PICTURES} pictures, got {pictures}")
     world = World(scenario)
     episode = EpisodeSet(1, seed)
     if suffix == ".html":

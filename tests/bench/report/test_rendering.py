@@ -1,8 +1,10 @@
 import builtins
+import signal
 
 import numpy as np
 import pytest
 from matplotlib import pyplot as plt
+from matplotlib.transforms import Affine2DBase
 from worlds import BLOCKS, constant_actions, make_env
 
 
@@ -82,6 +84,17 @@ def test_drawing_needs_a_mode_and_an_episode():
         make_env("energy").render()
     with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
         make_env("energy", render_mode="rgb_array").render()
+
+
+def test_ctrl_c_during_a_picture_is_no_error_of_matplotlib(monkeypatch):
+    env = make_env("energy", render_mode="rgb_array")
+    env.reset()
+    array = Affine2DBase.__array__
+    monkeypatch.setattr(
+        Affine2DBase, "__array__", lambda *args, **kw: signal.raise_signal(signal.SIGINT) or array(*args, **kw)
+    )
+    with pytest.raises(KeyboardInterrupt):
+        env.render()
 
 
 def test_unknown_mode_raises_with_the_choices():
