@@ -314,7 +314,7 @@ def test_certify_prints_the_numbers_of_the_paper_and_json(run, tmp_path):
 
 
 def test_render_writes_a_page(run, tmp_path):
-    assert "Video written to videos/run.html" in run("render energy static --out videos/run.html").out
+    assert "Episode written to videos/run.html" in run("render energy static --out videos/run.html").out
     assert "energy: static" in (tmp_path / "videos" / "run.html").read_text(encoding="utf-8")
 
 

@@ -55,7 +55,8 @@ def save_video(
         progress: called with the number of pictures that are drawn and of all.
 
     Raises:
-        ValueError: for another suffix, for fewer than 2 or more than 500 pictures, or a policy that cannot act in the scenario.
+        ValueError: for another suffix, fewer than 2 or more than 500 pictures, or a policy that cannot act in the
+            scenario.
         ImportError: when a library is missing, naming the extra to install.
         OSError: when the file cannot be written.
     """
