@@ -10,7 +10,7 @@ PIP     = $(BIN)/pip install --no-compile --disable-pip-version-check --constrai
 PYTEST  = $(BIN)/pytest --numprocesses auto --dist worksteal
 CORE    = tests/shared tests/games tests/world tests/perception tests/laws tests/envs tests/evaluation tests/test_import.py tests/test_misuse.py
 
-.PHONY: compare test lint types unit core publish reproduce docs soak smoke ray lowest newest clean
+.PHONY: compare test lint types unit core publish reproduce docs ecosystem soak smoke ray lowest newest clean
 
 compare: $(VENV)/.bench
 	$(BIN)/ptne compare --out $(OUT)/ptne-v1
@@ -44,6 +44,10 @@ reproduce: $(VENV)/.bench
 docs: $(VENV)/.docs
 	$(BIN)/sphinx-build --builder html --jobs auto --conf-dir docs --quiet . $(OUT)/site
 	@echo 'Site written to $(OUT)/site/docs/index.html: open it in a browser'
+
+# The examples of other frameworks, each in an environment of its own in .ecosystem/, which take 16 GB.
+ecosystem: $(VENV)/bin/python
+	$(BIN)/python examples/ecosystem/run.py
 
 # All tests with large counts of random cases, then with other arithmetic (the kernels of another processor, numpy
 # without the SIMD extensions that it found here), then random episodes in random worlds.

@@ -25,6 +25,8 @@ DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 PAGES = [*DOCUMENTS, *sorted(ROOT.glob("[!R]*.md")), *sorted(ROOT.glob("[be]*/*.md"))]
 JAX = ROOT / "docs" / "jax.md"
 PARTS = ROOT / "docs" / "adding-parts.md"
+ECOSYSTEM = ROOT / "docs" / "ecosystem.md"
+REQUIREMENTS = ROOT / "examples" / "ecosystem" / "requirements"
 ENVIRONMENT = ROOT / "docs" / "environment.md"
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -185,6 +187,13 @@ def test_observation_table_is_the_layout(kind, column):
 
 def test_scenario_table_is_the_catalogue():
     assert [row[0].strip("`") for row in table(ENVIRONMENT, "Scenario")] == list(CATALOGUE)
+
+
+def test_the_table_of_frameworks_has_the_versions_that_make_ecosystem_installs():
+    rows = [row for row in table(ECOSYSTEM, "Framework") if row[1] != "–"]
+    told = {row[2].split("/ecosystem/")[1].split("_")[0]: row[1].split()[-1] for row in rows}
+    pins = {path.stem: path.read_text("utf-8").split()[0].split("==")[1] for path in REQUIREMENTS.glob("*.txt")}
+    assert told == pins
 
 
 def test_reward_and_info_tables_are_complete():

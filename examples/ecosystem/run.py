@@ -3,10 +3,10 @@
 An example is ``<framework>_<idea>.py``, and ``requirements/<framework>.txt`` lists its packages. The environments lie
 in ``.ecosystem/`` and are made once.
 
-Prints, for every example, the digits that the law gains through the framework, their largest difference to those of
-``ptne_env.evaluate``, and the digits before and after training.
+Prints the date, and for every example the version of the framework, the digits that the law gains through it, their
+largest difference to those of ``ptne_env.evaluate``, and the digits before and after training.
 
-Run it with: python examples/ecosystem/run.py
+Run it with: make ecosystem
 or: python examples/ecosystem/run.py torchrl rllib
 """
 
@@ -14,6 +14,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
@@ -34,7 +35,9 @@ def python_of(framework: str) -> Path:
     if not (home / "complete").exists():
         call(sys.executable, "-m", "venv", "--clear", home)
         requirements = FOLDER / "requirements" / f"{framework}.txt"
-        call(python, "-m", "pip", "install", "--quiet", "--requirement", requirements, "--editable", ROOT)
+        call(python, "-m", "pip", "install", "--quiet", "--requirement", requirements)
+        # By a command of its own, which overrides pins of the framework: pip warns of them then.
+        call(python, "-m", "pip", "install", "--quiet", "--editable", ROOT)
         (home / "complete").touch()
     return python
 
@@ -43,7 +46,9 @@ def main() -> None:
     """Run the examples of the named frameworks, or of all; one that fails does not stop the others."""
     known = sorted(path.stem for path in (FOLDER / "requirements").glob("*.txt"))
     failed = []
+    print(f"{time.strftime('%Y-%m-%d')}, Python {sys.version.split()[0]}", flush=True)
     for framework in sys.argv[1:] or known:
+        version = (FOLDER / "requirements" / f"{framework}.txt").read_text("utf-8").split()[0]
         for example in sorted(FOLDER.glob(f"{framework}_*.py")):
             try:
                 printed = call(python_of(framework), example)
@@ -53,7 +58,7 @@ def main() -> None:
             for row in (json.loads(line) for line in printed.splitlines() if line.startswith('{"what"')):
                 trained = "" if row["before"] is None else f", {row['before']:.2f} → {row['after']:.2f} by training"
                 difference = f"{row['law']:.4f} digits of the law, difference {row['difference']:.0e}"
-                print(f"{example.stem:24} {row['what']:18} {difference}{trained}", flush=True)
+                print(f"{version:26} {example.stem:20} {row['what']:17} {difference}{trained}", flush=True)
     if failed:
         sys.exit(f"failed: {', '.join(failed)}")
 
