@@ -13,7 +13,7 @@ from ptne_env import CATALOGUE
 from ptne_env.bench import Runner, get_suite
 from ptne_env.evaluation import ENTERED, POLICIES, EpisodeSet
 from ptne_env.evaluation.jobs import Job
-from ptne_env.evaluation.tracks import compared_track
+from ptne_env.evaluation.tracks import compared_tracks
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "baselines"))
 import marl
@@ -40,7 +40,7 @@ def test_every_table_of_the_documents_is_that_of_the_published_numbers():
 def job_of(row):
     """The first episodes of a published cell."""
     if row["suite"] == "comparison":
-        track, names = compared_track(row["track"]), None
+        (track,), names = compared_tracks([row["track"]]), None
     else:
         track, names = SUITES[row["suite"]].track(row["track"]), (row["suite"], row["track"])
     return Job(track, POLICIES[row["policy"]], 0, EpisodeSet(min(EPISODES, int(row["episodes"])), 0, "test", names))

@@ -80,7 +80,7 @@ MISUSES = {
     "VectorParallelEnv('energy', 2.0)": "num_envs must be a whole number of at least 1, got 2.0",
     "JointVectorEnv('energy', 2, autoreset_mode='next')": "'next' is not a valid AutoresetMode",
     # Resets and steps.
-    "env.reset(seed='1')": "a seed is a whole number of at least 0 or None, got '1'",
+    "env.reset(seed='1')": "a seed must be a whole number of at least 0, got '1'",
     "env.reset(options=[1])": r"reset options are a dictionary, such as .*, got \[1\]",
     "env.reset(options={'estimate': 0})": "unknown reset option 'estimate'; choose from estimates",
     "env.reset(options={1: 0})": "unknown reset option 1; choose from estimates",

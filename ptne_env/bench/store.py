@@ -6,7 +6,6 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 import numpy as np
 
@@ -90,10 +89,7 @@ class Store:
         key = key_of(job)
         if key is None or result.failure is not None:
             return
-        path = self.path(key)
-        if path.exists() and not path.is_file():  # such as a folder, which no file can replace
-            path.rename(path.with_name(f"{path.name}.damaged-{uuid4().hex}"))
         samples = {name: to_json_list(values) for name, values in result.samples.items()}
         content = {"key": key, "job": content_of(job), "samples": samples, "not_applicable": result.not_applicable}
         text = json.dumps(content | {"checksum": content_hash(content)}, allow_nan=False, ensure_ascii=False)
-        write_atomically(path, text)
+        write_atomically(self.path(key), text)

@@ -19,8 +19,7 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.shared.arrays import BoolArray, Float32Array, as_plain
-from ptne_env.shared.random_streams import require_seed
+from ptne_env.shared.arrays import BoolArray, Float32Array, as_plain, require_count
 from ptne_env.world.scenario import Scenario
 
 Indices = int | Iterable[int] | None
@@ -74,7 +73,7 @@ class PlayerVecEnv(VecEnv):
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed the next reset: environment b gets seed + b, which all its members report."""
-        first = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else require_seed(seed)
+        first = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else require_count("a seed", seed, 0)
         self._seeds = [first + member // self._players for member in range(self.num_envs)]
         return self._seeds
 

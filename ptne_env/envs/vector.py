@@ -12,7 +12,6 @@ from gymnasium import spaces
 from ptne_env.envs.simulation import Simulation, Start, changed_scenario, initial_estimates, player_encoder
 from ptne_env.perception.observation import Interface, InterfaceKind, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain, require_count, require_mask
-from ptne_env.shared.random_streams import require_seed
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
 
@@ -238,8 +237,8 @@ class VectorParallelEnv:
         if isinstance(seed, (str, bytes, bytearray, memoryview)):
             raise ValueError(f"seeds are a whole number or {self.num_envs} of them, got {type(seed).__name__} {seed!r}")
         if not isinstance(seed, (Sequence, np.ndarray)):
-            first = require_seed(seed)
+            first = require_count("a seed", seed, 0)
             return [first + index for index in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seed)}")
-        return [None if each is None else require_seed(each) for each in seed]
+        return [None if each is None else require_count("a seed", each, 0) for each in seed]

@@ -93,10 +93,6 @@ class Results:
         """Whether it is a comparison of scenarios, which has no reference policies and no scores."""
         return all(chosen.track is None for chosen in self.episode_sets.values())
 
-    def policies_on(self, track: str) -> dict[str, PolicySpec]:
-        """The policies that were run on a track, by name, in the order of tables."""
-        return {name: policy for name, policy in self.policies.items() if (track, name) in self.samples}
-
     @cached_property
     def records(self) -> tuple[Record, ...]:
         """One per track, policy and metric, with the mean (or CVaR) and its 95 % interval."""
@@ -189,7 +185,7 @@ class Results:
 
     def ranked(self, track: str) -> dict[str, Summary]:
         """The digits on a track of the policies that have a value there, the best first."""
-        found = {name: self.summary(track, name, "digits") for name in self.policies_on(track)}
+        found = {name: self.summary(track, name, "digits") for name in self.policies}
         ordered = sorted(found, key=lambda name: self.standing(track, name))
         return {name: digits for name in ordered if (digits := found[name]) is not None and digits.mean is not None}
 

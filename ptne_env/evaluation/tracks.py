@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
 
@@ -111,36 +111,28 @@ def _world(scenario: Scenario, definitions: tuple[Any, ...]) -> World:  # noqa: 
     return World(scenario)
 
 
-def compared_track(scenario: str | Scenario | Track) -> Track:
-    """The track of a comparison. A track in which nothing is random has one episode.
+def compared_tracks(scenarios: Iterable[str | Scenario | Track]) -> tuple[Track, ...]:
+    """The tracks of a comparison. A track in which nothing is random has one episode.
 
     Args:
-        scenario: a name of the catalogue; a ``"module:object"`` that is a scenario or a function that makes one; a
-            scenario; or a track.
+        scenarios: names of the catalogue; ``"module:object"`` of scenarios or of functions that make them; scenarios;
+            or tracks.
 
     Raises:
-        ValueError: for an unknown name, or a ``"module:object"`` that is no scenario.
+        ValueError: for an unknown name, a ``"module:object"`` that is no scenario, repeated names, or none.
         TypeError: for another object, such as an environment.
     """
-    if isinstance(scenario, Track):
-        return scenario
-    scenario = get_scenario(scenario)
-    track = Track(scenario.name, scenario, "Random episodes.")
-    if track.world.is_random:
-        return track
-    return Track(scenario.name, scenario, "One episode, because nothing is random.", episodes=1)
-
-
-def compared_tracks(scenarios: Iterable[str | Scenario | Track]) -> tuple[Track, ...]:
-    """The tracks of a comparison, as :func:`compared_track` makes them.
-
-    Raises:
-        ValueError: for repeated names, or none.
-    """
-    tracks = tuple(compared_track(scenario) for scenario in scenarios)
+    tracks = tuple(each if isinstance(each, Track) else _track(get_scenario(each)) for each in scenarios)
     names = [track.name for track in tracks]
     if not names:
         raise ValueError("a comparison needs at least one scenario")
     if repeated := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"a comparison needs different scenarios; {', '.join(repeated)} would be run more than once")
     return tracks
+
+
+def _track(scenario: Scenario) -> Track:
+    track = Track(scenario.name, scenario, "Random episodes.")
+    return (
+        track if track.world.is_random else replace(track, change="One episode, because nothing is random.", episodes=1)
+    )

@@ -149,9 +149,17 @@ class Game(Part, ABC):
             return field
         return natural_map(strategies, field, self.low, self.high)
 
-    def jacobian(self, strategies: FloatArray) -> FloatArray | None:  # noqa: ARG002 - the signature is the interface
-        """dF(x): (n, B) to (n, n, B), row = component of F; ``None`` where it is unknown."""
-        return None
+    def jacobian(self, strategies: FloatArray) -> FloatArray:
+        """dF(x): (n, B) to (n, n, B), row = component of F; by central differences where no subclass knows it."""
+        columns = []
+        for move in np.eye(self.dimension)[:, :, None]:
+            # A step of ε^{1/3} balances truncation and rounding; for an affine F only rounding is left.
+            step = np.cbrt(np.finfo(np.float64).eps) * (1 + np.abs(strategies)) * move
+            forward, backward = strategies + step, strategies - step
+            with np.errstate(all="ignore"):  # F need not exist beyond a bound
+                rise = self.pseudo_gradient(forward) - self.pseudo_gradient(backward)
+            columns.append(rise / (forward - backward).sum(axis=0))
+        return np.stack(columns, axis=1)
 
     @property
     def has_best_response(self) -> bool:

@@ -102,12 +102,12 @@ def require_strong_monotonicity(game: Game) -> None:
     Raises:
         ValueError: naming the first game whose dF has no positive definite symmetric part.
     """
-    known = game.jacobian(np.zeros((game.dimension, game.batch_size))) if game.is_affine else None
-    if known is None:
+    if not game.is_affine:
         raise ValueError(
             f"strong monotonicity of {type(game).__name__} cannot be decided: F is not affine; a family of such games "
             "declares is_strongly_monotone"
         )
+    known = game.jacobian(np.zeros((game.dimension, game.batch_size)))
     symmetric = np.moveaxis(known + known.transpose(1, 0, 2), 2, 0) / 2
     try:
         np.linalg.cholesky(symmetric)

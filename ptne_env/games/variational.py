@@ -9,7 +9,6 @@ import numpy as np
 from ptne_env.shared.arrays import FloatArray, ordered_sum
 
 Field = Callable[[FloatArray], FloatArray]
-Jacobian = Callable[[FloatArray], FloatArray | None]
 
 TOLERANCE = 1e-12
 """‖x − Π(x − F(x))‖, relative to 1 + ‖x‖, at which the solver stops."""
@@ -22,7 +21,7 @@ def natural_map(points: FloatArray, field: FloatArray, low: FloatArray, high: Fl
     return points - np.clip(points - field, low, high)
 
 
-def solve_box(field: Field, jacobian: Jacobian, low: FloatArray, high: FloatArray, start: FloatArray) -> FloatArray:
+def solve_box(field: Field, jacobian: Field, low: FloatArray, high: FloatArray, start: FloatArray) -> FloatArray:
     """x in [low, high] with F(x)ᵀ(y − x) ≥ 0 for all y in the box, for G monotone Lipschitz fields F at once.
 
     A step is Newton's on the natural map (the active-set step: components pressed against a bound are set to it, the
@@ -33,7 +32,7 @@ def solve_box(field: Field, jacobian: Jacobian, low: FloatArray, high: FloatArra
 
     Args:
         field: F, (n, G) to (n, G).
-        jacobian: dF, (n, G) to (n, n, G), or ``None`` where dF is unknown; then every step is an extragradient step.
+        jacobian: dF, (n, G) to (n, n, G).
         low: lower bounds, (n, G) or (n, 1); −inf where there is none.
         high: upper bounds likewise.
         start: first points, (n, G).
@@ -69,13 +68,10 @@ def solve_box(field: Field, jacobian: Jacobian, low: FloatArray, high: FloatArra
 
 
 def _newton(
-    field: Field, jacobian: Jacobian, x: FloatArray, value: FloatArray, low: FloatArray, high: FloatArray
+    field: Field, jacobian: Field, x: FloatArray, value: FloatArray, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Newton's next point in the box, and its residual; NaN where there is none."""
-    slopes = jacobian(x)
-    if slopes is None:
-        return x, np.full(x.shape[1], np.nan)
-    trial = np.clip(_active_set_step(x, value, slopes, low, high), low, high)
+    trial = np.clip(_active_set_step(x, value, jacobian(x), low, high), low, high)
     return trial, _norm(natural_map(trial, field(trial), low, high))
 
 
@@ -88,7 +84,8 @@ def _active_set_step(
     matrices = np.where(held[:, None], np.eye(len(x))[:, :, None], slopes)
     wanted = np.where(below, low - x, np.where(above, high - x, -value))
     stack, right = np.moveaxis(matrices, 2, 0).copy(), wanted.T[..., None].copy()
-    singular = np.linalg.slogdet(stack)[0] == 0
+    with np.errstate(invalid="ignore"):
+        singular = ~(np.abs(np.linalg.slogdet(stack)[0]) > 0)  # also where dF does not exist
     stack[singular], right[singular] = np.eye(len(x)), np.nan
     return x + np.linalg.solve(stack, right)[..., 0].T
 

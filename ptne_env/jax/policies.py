@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -45,10 +45,6 @@ class Policy:
     memory: Any = ()
     interface: Interface = field(default_factory=Interface)
     layout: ObservationLayout | None = None
-
-    def replace(self, **changes: Any) -> Policy:
-        """A copy with other ``params`` or another field."""
-        return replace(self, **changes)
 
     def with_layout(self, layout: ObservationLayout) -> Policy:
         """The policy itself, which was made for a layout like this one.

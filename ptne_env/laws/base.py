@@ -26,9 +26,6 @@ class Law(ABC):
         LayoutError: when the law cannot act through the layout's interface, or reads a slice that the layout lacks.
     """
 
-    needs_full_information: ClassVar[bool] = False
-    """Whether the law is an oracle: it uses information that players lack."""
-
     needs: ClassVar[tuple[str, ...]] = ()
     """Slices that the law reads and only some layouts have."""
 
@@ -39,8 +36,6 @@ class Law(ABC):
         name = type(self).__name__
         if not isinstance(layout, ObservationLayout):
             raise TypeError(f"{name} is built from a layout, such as env.layout, got a {type(layout).__name__}")
-        if self.needs_full_information and layout.interface.kind != "full":
-            raise LayoutError(f"{name} is an oracle and needs the interface 'full', got {layout.interface.kind!r}")
         missing = [need for need in self.needs if need not in layout.slices]
         if missing:
             raise LayoutError(

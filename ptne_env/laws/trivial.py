@@ -27,7 +27,7 @@ class Oracle(Law):
     refuses, and every table marks it.
     """
 
-    needs_full_information: ClassVar[bool] = True
+    needs: ClassVar[tuple[str, ...]] = ("relative_equilibrium",)
     interface: ClassVar[Interface] = Interface("full")
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:

@@ -20,8 +20,7 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env.envs.vector import VectorParallelEnv
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.shared.arrays import BoolArray
-from ptne_env.shared.random_streams import require_seed
+from ptne_env.shared.arrays import BoolArray, require_count
 from ptne_env.world.scenario import Scenario
 
 GROUP = "player"
@@ -92,7 +91,7 @@ class TorchRLEnv(EnvBase):
         Raises:
             ValueError: for an invalid seed; the seeds stay as they were.
         """
-        first = None if seed is None else require_seed(seed)
+        first = None if seed is None else require_count("a seed", seed, 0)
         self._seeds = [None if first is None else first + index for index in range(self.vector.num_envs)]
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, seed: int | None = None) -> TensorDict:

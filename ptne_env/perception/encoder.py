@@ -32,18 +32,6 @@ class NonFiniteActionError(ValueError):
     """An action holds NaN or infinity."""
 
 
-class Clipped(NamedTuple):
-    """Finite actions within the action box.
-
-    Attributes:
-        actions: shape (B, N, action size).
-        clipped: entries of each player's action that were outside the box, shape (B, N).
-    """
-
-    actions: npt.NDArray[np.floating]
-    clipped: IntArray
-
-
 class _Workspace(NamedTuple):
     """Memory in which an encoder assembles the observations of one batch size.
 
@@ -133,8 +121,11 @@ class Encoder(ABC):
         np.copyto(out.reshape(batch, -1), fields["everything"])
         return out
 
-    def clip(self, actions: npt.NDArray[np.floating]) -> Clipped:
-        """Clip actions of any number of environments, shape (B, N, action size), to the action box, and count.
+    def clip(self, actions: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.floating], IntArray]:
+        """Clip actions of any number of environments, shape (B, N, action size), to the action box.
+
+        Returns:
+            The actions, and the entries of each player's that were outside, shape (B, N).
 
         Raises:
             NonFiniteActionError: when an action holds NaN or infinity.
@@ -142,10 +133,10 @@ class Encoder(ABC):
         bound = self.layout.action_bound
         highest, lowest = np.maximum.reduce(actions, axis=None), np.minimum.reduce(actions, axis=None)
         if highest <= bound and lowest >= -bound:
-            return Clipped(actions, np.zeros(actions.shape[:2], dtype=np.int64))
+            return actions, np.zeros(actions.shape[:2], dtype=np.int64)
         if not np.isfinite(actions).all():
             raise NonFiniteActionError("actions must be numbers without NaN or infinity")
-        return Clipped(np.clip(actions, -bound, bound), (np.abs(actions) > bound).sum(axis=2))
+        return np.clip(actions, -bound, bound), (np.abs(actions) > bound).sum(axis=2)
 
     def inputs(self, actions: npt.NDArray[np.floating], state: State) -> FloatArray:
         """Turn clipped actions (B, N, action size) into inputs u within the input limit, shape (n, N, B).
@@ -162,7 +153,7 @@ class Encoder(ABC):
         Raises:
             NonFiniteActionError: when an action holds NaN or infinity.
         """
-        return self.inputs(self.clip(actions).actions, state)
+        return self.inputs(self.clip(actions)[0], state)
 
     @abstractmethod
     def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:

@@ -261,16 +261,6 @@ class ObservationLayout:
             raise ValueError(f"the {self.interface.kind!r} layout has no {name!r}; it has {', '.join(self.slices)}")
         return observation[..., self.slices[name]]
 
-    def neighbour_estimates(self, observation: npt.NDArray[np.floating]) -> FloatArray:
-        """The neighbours' estimates x^j per slot, (..., size) to (..., D, n), float64; a dead link repeats x^i.
-
-        Raises:
-            ValueError: under ``scaled``, where the own estimate is not observed.
-        """
-        own = np.asarray(self.select(observation, "own_estimate"), dtype=np.float64)
-        relative = np.asarray(self.select(observation, "relative_estimates"), dtype=np.float64)
-        return relative.reshape(*own.shape[:-1], self.slots, self.dimension) + own[..., None, :]
-
     def read(self, observation: npt.NDArray[np.floating]) -> Observation:
         """Read observations of R players, shape (R, size).
 

@@ -6,12 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-
-def require_seed(seed: int) -> int:
-    """Return ``seed``, or raise ``ValueError`` when it is negative or not a whole number."""
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:  # type: ignore[redundant-expr]  # callers may pass any type
-        raise ValueError(f"a seed is a whole number of at least 0 or None, got {seed!r}")
-    return int(seed)
+from ptne_env.shared.arrays import require_count
 
 
 @dataclass(frozen=True)
@@ -37,5 +32,5 @@ class RandomStreams:
         Raises:
             ValueError: when the seed is negative or not a whole number.
         """
-        children = np.random.SeedSequence(None if seed is None else require_seed(seed)).spawn(4)
+        children = np.random.SeedSequence(None if seed is None else require_count("a seed", seed, 0)).spawn(4)
         return cls(*(np.random.default_rng(child) for child in children))

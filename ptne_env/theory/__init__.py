@@ -3,14 +3,12 @@
 docs/theory.md says of each prediction whether it is exact or a bound, and where it comes from.
 """
 
-from ptne_env.theory.assumptions import AssumptionCheck as AssumptionCheck
 from ptne_env.theory.assumptions import LemmaViolationError as LemmaViolationError
 from ptne_env.theory.assumptions import check_assumptions as check_assumptions
 from ptne_env.theory.assumptions import check_time_transformation as check_time_transformation
 from ptne_env.theory.certificate import Certificate as Certificate
 from ptne_env.theory.certificate import build_law as build_law
 from ptne_env.theory.certificate import certify as certify
-from ptne_env.theory.check_game import GameReport as GameReport
 from ptne_env.theory.check_game import check_game as check_game
 from ptne_env.theory.closed_loop import closed_loop_matrix as closed_loop_matrix
 from ptne_env.theory.closed_loop import decay_rate as decay_rate

@@ -129,10 +129,9 @@ def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
 def _require_loop(law: Law) -> None:
     """Check that a law reads and remembers no more than a loop has."""
     name, unknown = type(law).__name__, sorted(set(law.needs) - {"own_estimate"})
-    if law.needs_full_information or unknown:
+    if unknown:
         raise NoClosedLoopError(
-            f"{name} is an oracle or reads {', '.join(unknown) or 'everything'}; closed loops are of laws that act on "
-            "gradient and differences alone"
+            f"{name} reads {', '.join(unknown)}; closed loops are of laws that act on gradient and differences alone"
         )
     if law.has_memory and law.gains(law.initial_memory(law.layout.num_players)) is None:
         raise NoClosedLoopError(f"{name} remembers more than gains, so it has no closed-loop matrix")

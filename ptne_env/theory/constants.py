@@ -67,7 +67,7 @@ def monotonicity_constants(
     if not game.is_affine:
         generator = np.random.default_rng(seed)
         points = game.project(points + generator.uniform(-radius, radius, (game.dimension, samples)))
-    sampled = np.moveaxis(jacobians(game, points), 2, 0)
+    sampled = np.moveaxis(game.jacobian(points), 2, 0)
     symmetric = (sampled + sampled.transpose(0, 2, 1)) / 2
     blocks = [sampled[:, game.owners == player] for player in range(game.num_players)]
     smallest = float(np.linalg.eigvalsh(symmetric)[:, 0].min())
@@ -89,26 +89,9 @@ def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) 
     return (iota**2 / epsilon + iota) / algebraic_connectivity
 
 
-def jacobians(game: Game, points: FloatArray) -> FloatArray:
-    """The Jacobian dF at points (n, B), shape (n, n, B); by central differences where the game does not know it."""
-    known = game.jacobian(points)
-    if known is not None:
-        return known
-    result = np.empty((game.dimension, game.dimension, points.shape[1]))
-    for component in range(game.dimension):
-        # A step of ε^{1/3} balances truncation and rounding; for an affine F only rounding is left.
-        step = np.cbrt(np.finfo(np.float64).eps) * (1 + np.abs(points[component]))
-        forward, backward = points.copy(), points.copy()
-        forward[component] += step
-        backward[component] -= step
-        width = forward[component] - backward[component]
-        result[:, component] = (game.pseudo_gradient(forward) - game.pseudo_gradient(backward)) / width
-    return result
-
-
 def jacobian_at_equilibrium(game: Game) -> FloatArray:
     """dF(x*), shape (n, n)."""
-    return jacobians(game, game.nash_equilibrium[:, None])[:, :, 0]
+    return game.jacobian(game.nash_equilibrium[:, None])[:, :, 0]
 
 
 def _largest_norm(matrices: FloatArray) -> float:

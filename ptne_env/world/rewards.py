@@ -35,25 +35,6 @@ REWARD_LIMIT = RANGE_LIMIT**2
 """Payoff and regret are clipped to ±REWARD_LIMIT, the order of a quadratic cost at the range limit."""
 
 
-def parse_reward(reward: str | Mapping[str, float]) -> dict[str, float]:
-    """A reward's weights by term; a bare name means weight 1.
-
-    Raises:
-        TypeError: for anything but a name and a mapping.
-        ValueError: for an unknown term, no term, or a weight that is negative (divergence would pay) or not finite.
-    """
-    if not isinstance(reward, str | Mapping):
-        raise TypeError(
-            f"reward is one of {', '.join(TERMS)}, or weights by name such as {{'digits': 1.0, 'payoff': 0.1}}, got "
-            f"{reward!r}; another reward is a wrapper of the environment (docs/adding-parts.md)"
-        )
-    weights = {reward: 1.0} if isinstance(reward, str) else dict(reward)
-    unknown = sorted(set(weights) - set(TERMS))
-    if unknown or not weights:
-        raise ValueError(f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}")
-    return {name: require_non_negative(f"the weight of reward {name!r}", weight) for name, weight in weights.items()}
-
-
 class Reward:
     """The reward of one world, with a memory of the distances at the previous instant.
 
@@ -67,11 +48,21 @@ class Reward:
         distances: d^i at the present instant, shape (N, B), with the limit where an environment has diverged.
 
     Raises:
-        ValueError: for an unknown term, or ``regret`` on a game without best response.
+        TypeError: for anything but a name and a mapping.
+        ValueError: for an unknown term, no term, a weight that is negative (divergence would pay) or not finite, or
+            ``regret`` on a game without best response.
     """
 
     def __init__(self, world: World, reward: str | Mapping[str, float] = "digits") -> None:
-        self.weights = parse_reward(reward)
+        if not isinstance(reward, str | Mapping):
+            raise TypeError(
+                f"reward is one of {', '.join(TERMS)}, or weights by name such as {{'digits': 1.0, 'payoff': 0.1}}, "
+                f"got {reward!r}; another reward is a wrapper of the environment (docs/adding-parts.md)"
+            )
+        given = {reward: 1.0} if isinstance(reward, str) else reward
+        if (unknown := sorted(set(given) - set(TERMS))) or not given:
+            raise ValueError(f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}")
+        self.weights = {name: require_non_negative(f"the weight of reward {name!r}", given[name]) for name in given}
         self.world = world
         if "regret" in self.weights and not world.game.has_best_response:
             raise NoBestResponseError(

@@ -86,11 +86,7 @@ def test_a_stored_result_of_another_job_or_form_is_run_again(tmp_path):
         assert store.find(JOB) is None
 
 
-def test_a_folder_in_the_place_of_a_result_is_moved_away_and_a_file_in_that_of_the_folder_is_an_error(tmp_path):
-    store = Store(tmp_path)
-    store.path(key_of(JOB)).mkdir(parents=True)
-    results = evaluate("static", BASE, episodes=4, run=Runner(tmp_path))
-    assert results.samples
+def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="file"):
         evaluate("static", BASE, episodes=4, run=Runner(tmp_path / "file"))

@@ -134,8 +134,8 @@ def test_restarting_within_a_step_is_a_reset_without_a_step(reward, block_size):
 
 BAD_RESETS = {
     "too few seeds": ({"seed": [1, 2, 3]}, "5 environments need as many seeds, got 3"),
-    "a negative seed": ({"seed": [0, 1, 2, 3, -4]}, "a seed is a whole number of at least 0 or None, got -4"),
-    "a fractional seed among others": ({"seed": [1, 2, 3, 4.5, 5]}, "a seed is a whole number.*got 4.5"),
+    "a negative seed": ({"seed": [0, 1, 2, 3, -4]}, "a seed must be a whole number of at least 0, got -4"),
+    "a fractional seed among others": ({"seed": [1, 2, 3, 4.5, 5]}, "a seed must be a whole number.*got 4.5"),
     "a text as seeds": ({"seed": "12345"}, "seeds are a whole number or 5 of them, got str"),
     "a masked mask": (
         {"mask": np.ma.masked_array([True] * 5)},

@@ -99,8 +99,7 @@ def test_a_policy_that_fits_no_track_is_refused():
 
 def test_a_policy_is_not_applicable_where_it_does_not_fit():
     results = evaluate(["static", PolicySpec("picky", Picky)], [BASE, COMPLETE.replace(name="complete")], episodes=2)
-    assert set(results.policies_on(BASE.name)) == {"static", "picky"}
-    assert set(results.policies_on("complete")) == {"static"}
+    assert set(results.ranked("complete")) == {"static"}
     with pytest.raises(KeyError, match="on track 'complete': it was made for another layout"):
         results.record("complete", "picky", "digits")
 

@@ -4,6 +4,8 @@ from extras import need_jax
 
 need_jax()
 
+import dataclasses
+
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
@@ -102,7 +104,7 @@ def test_the_gradient_of_the_digits_is_that_of_finite_differences(make, steps):
     flat, unflatten = jax.flatten_util.ravel_pytree(jax.tree.map(jnp.asarray, policy.params))
 
     def digits(flat):
-        chosen = policy.replace(params=unflatten(flat))
+        chosen = dataclasses.replace(policy, params=unflatten(flat))
         return ptne_env.jax.rollout(world, chosen, state, steps=steps).digits[-1].mean()
 
     assert -2 < digits(flat) < 11

@@ -127,19 +127,6 @@ def test_oracle_sees_the_equilibrium_besides(name):
         assert np.array_equal(layout.select(observations, "relative_equilibrium")[:, i], relative)
 
 
-def test_the_layout_tells_the_estimates_of_live_neighbours():
-    world, encoder = world_and_encoder(BLOCKS_SWITCHING)
-    state = wander(world)
-    layout, live = encoder.layout, dynamics.weights(world, state) > 0
-    told = layout.neighbour_estimates(encoder.observe(state)).reshape(2, layout.num_players, layout.slots, -1)
-    for environment, player, slot in np.ndindex(told.shape[:3]):
-        sender = layout.neighbours[player][slot] if live[slot, player, environment % live.shape[2]] else player
-        assert told[environment, player, slot] == pytest.approx(state.estimates[:, sender, environment], rel=1e-6)
-    scaled = world_and_encoder(BLOCKS_SWITCHING, kind="scaled")[1]
-    with pytest.raises(ValueError, match="has no 'own_estimate'"):
-        scaled.layout.neighbour_estimates(scaled.observe(state))
-
-
 def test_differences_are_taken_before_the_cast_to_float32():
     world, encoder = world_and_encoder("energy")
     estimates = np.full((5, 5, 1), 12345.678)
@@ -184,7 +171,7 @@ def test_physical_action_is_the_input_clipped_to_the_limit():
     world, encoder = world_and_encoder(get_scenario("energy", input_limit=7.0))
     state = wander(world)
     actions = np.random.default_rng(0).uniform(-10, 10, (2, 5, 5)).astype(np.float32)
-    inputs, clipped = encoder.decode(actions, state), encoder.clip(actions).clipped
+    inputs, clipped = encoder.decode(actions, state), encoder.clip(actions)[1]
     for b in range(2):
         for i in range(5):
             assert np.array_equal(inputs[:, i, b], np.clip(actions[b, i], -7.0, 7.0))
@@ -197,7 +184,7 @@ def test_scaled_action_is_in_units_of_the_scale_and_in_ego_order(name):
     world, encoder = world_and_encoder(get_scenario(WORLDS[name], input_limit=30.0), kind="scaled")
     state, game, n = wander(world), world.game, encoder.layout.dimension
     actions = np.random.default_rng(0).uniform(-1.5, 1.5, (2, game.num_players, n)).astype(np.float32)
-    inputs, clipped = encoder.decode(actions, state), encoder.clip(actions).clipped
+    inputs, clipped = encoder.decode(actions, state), encoder.clip(actions)[1]
     scale = 1e10 ** encoder.layout.select(encoder.observe(state), "log_scale")[..., 0].astype(np.float64)
     saturated = 0
     for b in range(2):

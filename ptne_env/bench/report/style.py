@@ -40,7 +40,7 @@ DARK: Mapping[str, str] = MappingProxyType(
 )
 """The same roles for a dark page."""
 
-INK, FAINT, LINE, GRID = (LIGHT[role] for role in ("ink", "faint", "line", "grid"))
+INK, FAINT, GRID = (LIGHT[role] for role in ("ink", "faint", "grid"))
 
 _STYLE: dict[Any, Any] = {
     "font.size": 9,

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from ptne_env.laws.base import Law, consensus, per_step
-from ptne_env.perception.observation import LayoutError, Observation, ObservationLayout
-from ptne_env.shared.arrays import FloatArray, frozen, require_positive
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.shared.arrays import FloatArray, require_positive
 
 
 class ProjectedGradient(Law):
@@ -18,35 +17,21 @@ class ProjectedGradient(Law):
 
     An iteration evaluates the gradient at the mixed estimates, while an environment shows gradients at the present
     ones. So an iteration takes two steps, a mixing step and a descent step, and is then exact. The deadline plays no
-    part: the law moves its estimates to the next iterate within the step, as far as the input limit lets it. The memory
-    is the number of steps done, shape (R, 1).
+    part: the law moves its estimates to the next iterate within the step, as far as the input limit lets it, and the
+    environment projects strategies into its box. The memory is the number of steps done, shape (R, 1).
 
     Args:
-        layout: of the environment; ``physical`` when strategies are bounded.
+        layout: of the environment.
         step: α > 0.
         mixing: h > 0 with h Σ_j a_ij < 1 for every player, so that W is doubly stochastic.
-        lower, upper: box Π_i, a number or an entry per component, shape (n,); no projection if left out.
 
     Raises:
-        ValueError: for a parameter out of range, or bounds where strategies are not observed.
+        ValueError: for a parameter out of range.
     """
 
-    def __init__(
-        self,
-        layout: ObservationLayout,
-        step: float = 0.1,
-        mixing: float = 0.3,
-        lower: npt.ArrayLike = -np.inf,
-        upper: npt.ArrayLike = np.inf,
-    ) -> None:
+    def __init__(self, layout: ObservationLayout, step: float = 0.1, mixing: float = 0.3) -> None:
         super().__init__(layout)
         self.step, self.mixing = require_positive("step", step), require_positive("mixing", mixing)
-        self.lower, self.upper = (frozen(np.broadcast_to(bound, layout.dimension)) for bound in (lower, upper))
-        if not np.all(self.lower < self.upper):
-            raise ValueError("ProjectedGradient needs lower < upper for every component")
-        self._is_bounded = bool(np.isfinite(self.lower).any() or np.isfinite(self.upper).any())
-        if self._is_bounded and "own_estimate" not in layout.slices:
-            raise LayoutError("bounds need the own strategy, which only 'physical' shows")
 
     def initial_memory(self, rows: int) -> FloatArray:
         """Number of steps done: 0, shape (R, 1)."""
@@ -55,8 +40,4 @@ class ProjectedGradient(Law):
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         mixed = self.mixing * consensus(observation.weights, observation.relative_estimates)
         descent = -self.step * observation.gradient
-        if self._is_bounded:
-            target = np.clip(observation.own_estimate + descent, self.lower, self.upper)
-            is_own = self.layout.own_mask[observation.player]
-            descent = np.where(is_own, target - observation.own_estimate, 0.0)
         return per_step(np.where(memory % 2 == 1, descent, mixed), observation), memory + 1

@@ -49,32 +49,13 @@ def test_projected_gradient_contracts_over_time_varying_graphs(seed):
     assert distances[-1] < 0.99 * distances[0]
 
 
-def test_projected_gradient_solves_the_variational_inequality_in_a_box():
-    world, encoder = world_and_encoder(ENERGY)
-    lower, upper = 3.0, 15.0
-    law = field_laws.ProjectedGradient(encoder.layout, step=0.4, lower=lower, upper=upper)
-    states = run(world, encoder, law, loop_start(world))
-    x = np.diag(states[-1][..., 0])
-    gradient = world.game.pseudo_gradient(x[:, None])[:, 0]
-    inside = (x > lower + 1e-3) & (x < upper - 1e-3)
-    assert 0 < inside.sum() < 5
-    assert np.abs(gradient[inside]).max() < 1e-4
-    assert np.all(gradient[x <= lower + 1e-3] > 0)
-    assert np.all(gradient[x >= upper - 1e-3] < 0)
-    own = states[2::2, range(5), range(5), 0]  # after every gradient step
-    assert own.min() >= lower - 1e-5
-    assert own.max() <= upper + 1e-5
-
-
 @pytest.mark.parametrize(
-    ("kind", "arguments", "message"),
+    ("arguments", "message"),
     [
-        ("physical", {"step": 0.0}, "step must be a finite number above 0"),
-        ("physical", {"mixing": -1.0}, "mixing must be a finite number above 0"),
-        ("physical", {"lower": 2.0, "upper": 1.0}, "needs lower < upper"),
-        ("scaled", {"lower": 0.0}, "bounds need the own strategy, which only 'physical' shows"),
+        ({"step": 0.0}, "step must be a finite number above 0"),
+        ({"mixing": -1.0}, "mixing must be a finite number above 0"),
     ],
 )
-def test_parameters_out_of_range_are_refused(kind, arguments, message):
+def test_parameters_out_of_range_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
-        field_laws.ProjectedGradient(world_and_encoder("energy", kind=kind)[1].layout, **arguments)
+        field_laws.ProjectedGradient(world_and_encoder("energy")[1].layout, **arguments)
