@@ -8,7 +8,6 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from ptne_env import theory
-from ptne_env.bench import find_scenario
 from ptne_env.bench.report.certificates import certificate_tables
 from ptne_env.bench.report.terminal import show
 from ptne_env.cli import options
@@ -29,6 +28,7 @@ def certify(
             autocompletion=lambda: list(POLICIES),
         ),
     ] = "static",
+    changes: options.Changes = None,
     json: options.Json = None,
     trust: options.Trust = False,
 ) -> None:
@@ -38,8 +38,8 @@ def certify(
     predicted at the deadline, and the largest stable step. docs/theory.md explains which of them are exact.
     """
     check_writable(json)
-    options.trusted(options.foreign_names(scenario, law), trust=trust)
-    chosen = find_scenario(scenario)
+    trust = options.trusted(options.foreign_names(scenario, law), trust=trust)
+    chosen = options.changed(scenario, changes, trust=trust)
     with threadpool_limits(1):  # on matrices of this size several BLAS threads wait for each other
         certificate = theory.certify(chosen, law=law)
     write_json(json, json_text(certificate.to_dict()))

@@ -65,6 +65,7 @@ def compare(
             autocompletion=_complete_policy,
         ),
     ] = None,
+    changes: options.Changes = None,
     episodes: Annotated[
         int | None,
         typer.Option(
@@ -111,12 +112,13 @@ def compare(
     files = [] if folder is None else [folder / "results.json", folder / "results.csv"]
     page = None if folder is None or not with_report else folder / "report.html"
     check_writable(json, page, *files)
+    earlier = bool(files) and files[0].exists()
     named = [get_policy_spec(name, trust=trust) for name in names]
     workers = Workers(jobs, ray)
     share = 100 if page is None else 100 - _PAGE_SHARE
     with progress(f"{title}: making the jobs") as advance:
         runner = Runner(folder, workers, lambda job, done, total: advance(round(share * done / total), 100, job), rerun)
-        results = _results(suite, places, named, episodes, seed, runner)
+        results = _results(suite, places, changes, named, episodes, seed, runner, trust=trust)
         failed = [f"Failed: {name} on {place}: {reason}" for (place, name), reason in results.failures.items()]
         if not results.samples:
             say("\n".join(failed))
@@ -141,7 +143,8 @@ def compare(
     for line in failed:
         say(line)
     if files:
-        say(f"Results written to {files[0]} and {files[1]}")
+        replaced = ", in place of earlier ones there; --out FOLDER keeps both" * earlier
+        say(f"Results written to {files[0]} and {files[1]}{replaced}")
     if page is not None:
         say(f"Report written to {page}: open it in a browser")
     if failed:
@@ -164,13 +167,18 @@ def _tracks_of(suite: str | None, names: list[str]) -> tuple[str | None, list[st
 def _results(
     suite: str | None,
     places: list[str],
+    changes: list[str] | None,
     policies: list[PolicySpec],
     episodes: int | None,
     seed: int,
     run: Runner,
+    *,
+    trust: bool,
 ) -> Results:
     """The results on tracks of a suite, on all without places, or on scenarios."""
     if suite is not None:
+        if changes:
+            raise ValueError("--set changes scenarios; the tracks of a suite are as they are")
         chosen = policies or [POLICIES[name] for name in ENTERED]
         return run_suite(suite, chosen, tracks=places or None, episodes=episodes, seed=seed, run=run)
     for name in places:
@@ -178,4 +186,5 @@ def _results(
             raise ValueError(f"{name!r} is a policy, no scenario: write --policy {name}")
         if name not in CATALOGUE and ":" not in name:
             raise ValueError(unknown_name("scenario", name, world_names()))
-    return evaluate(policies or COMPARED, places, episodes=episodes or EPISODES, seed=seed, run=run)
+    scenarios = [options.changed(name, changes, trust=trust) for name in places]
+    return evaluate(policies or COMPARED, scenarios, episodes=episodes or EPISODES, seed=seed, run=run)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable
+from json import loads
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
-from ptne_env.bench.suite import world_names
+from ptne_env.bench.suite import find_scenario, world_names
 from ptne_env.cli.console import keep_stdout
 from ptne_env.evaluation import POLICIES
-from ptne_env.shared.parts import is_part
+from ptne_env.shared.parts import foreign_targets, is_part
+from ptne_env.world.catalogue import get_scenario
+from ptne_env.world.scenario import Scenario
 
 World: TypeAlias = Annotated[
     str,
@@ -48,6 +51,36 @@ Json: TypeAlias = Annotated[
         help="Write the results as JSON to this file; '-' for stdout, where nothing else is printed then.",
     ),
 ]
+
+Changes: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="FIELD=VALUE",
+        help="Change a field of the scenario, such as deadline=2, start=random or players=7; repeat for several.",
+    ),
+]
+
+
+def changed(scenario: str, changes: Iterable[str] | None, *, trust: bool) -> Scenario:
+    """A scenario by name with fields of ``--set``, which its name tells too. Values are JSON, or else texts.
+
+    Raises:
+        ValueError: for a change of another form, an unknown field, or code that is not trusted.
+    """
+    found: dict[str, Any] = {}
+    for change in changes or ():
+        field, equals, text = change.partition("=")
+        if not equals:
+            raise ValueError(f"--set takes FIELD=VALUE, such as deadline=2; got {change!r}")
+        try:
+            found[field] = loads(text)
+        except ValueError:
+            found[field] = text
+    texts = [value for value in found.values() if isinstance(value, str)]
+    trusted([*foreign_names(*texts), *foreign_targets(found)], trust=trust)
+    chosen = find_scenario(scenario)
+    return get_scenario(chosen, **{"name": " ".join([chosen.name, *(changes or ())]), **found})
 
 
 def foreign_names(*names: str | None) -> list[str]:

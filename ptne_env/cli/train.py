@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 
 from ptne_env.bench import find_scenario
+from ptne_env.bench.suite import LAW
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
+from ptne_env.evaluation import METRICS
 from ptne_env.learn import training
 
 if TYPE_CHECKING:
@@ -110,14 +112,17 @@ def train(
     if seeds is not None:
         mean = sum(reached) / len(reached)
         say(f"Mean of {seeds} seeds: {mean:.2f} digits, from {min(reached):.2f} to {max(reached):.2f}")
-    names = {f"seed {each.seed}, {summaries[folder].digits:.2f} digits": folder for folder, each in runs.items()}
-    title = f"Training of {configuration.removesuffix('.toml')}"
+    laws = yardsticks(find_scenario(chosen.scenario))
+    law = laws.summary(laws.tracks[0].name, LAW, "digits")
+    if law is not None and max(reached) < law.mean:
+        say(f"The paper's law, {LAW}, has {law.mean:.2f} digits on validation episodes: more --steps may beat it")
     draw(
-        names,
+        {f"seed {each.seed}": folder for folder, each in runs.items()},
         picture,
-        title=title,
+        title=f"Training of {configuration.removesuffix('.toml')}",
         steps=max(each.agent_steps for each in summaries.values()),
-        lines=yardsticks(find_scenario(chosen.scenario)),
+        metric=trainer.CURVE,
+        laws=laws,
     )
     say(f"Learning curve written to {picture}")
     trained = f"trained={out}/seed-*/{trainer.POLICY}" if seeds is not None else str(out / trainer.POLICY)
@@ -132,7 +137,7 @@ def _train(runs: Mapping[Path, Run], trainer: ModuleType) -> dict[Path, Summary]
 
             def show(done: int, total: int, digits: float, seed: int = configuration.seed) -> None:
                 place = "training" if len(runs) == 1 else f"training seed {seed}"
-                now = f"{place}, {digits:.2f} digits" if digits > float("-inf") else place
+                now = f"{place}, {digits:.2f} {METRICS[trainer.CURVE].label}" if digits > float("-inf") else place
                 advance(len(summaries) * total + min(done, total), len(runs) * total, now)
 
             summaries[folder] = trainer.train(configuration, folder, show)

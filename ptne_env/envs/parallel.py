@@ -125,11 +125,16 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The agent's own Box, the same object on every call."""
-        return self.observation_spaces[agent]
+        return self._of_agent(agent, self.observation_spaces)
 
     def action_space(self, agent: str) -> spaces.Box:
         """The agent's own Box, the same object on every call."""
-        return self.action_spaces[agent]
+        return self._of_agent(agent, self.action_spaces)
+
+    def _of_agent(self, agent: str, found: Mapping[str, spaces.Box]) -> spaces.Box:
+        if agent not in found:
+            raise KeyError(f"unknown agent {agent!r}: agents are player_0 to {self.possible_agents[-1]}")
+        return found[agent]
 
     @property
     def strategies(self) -> FloatArray:

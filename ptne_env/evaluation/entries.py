@@ -129,6 +129,12 @@ class PolicySpec:
             called = "; it is called with the layout" * isinstance(error, TypeError)
             raise PolicyError(f"it cannot be built: {describe(error)}{called}") from error
         expected = getattr(getattr(built, "observation_space", None), "shape", None)  # of a Stable-Baselines3 model
+        acts_for_all = (layout.num_players * layout.action_size,)  # in JointEnv, whatever the interface
+        if expected != (layout.size,) and getattr(getattr(built, "action_space", None), "shape", None) == acts_for_all:
+            raise LayoutError(
+                "it was trained on the joint observation of all players, which no player has; train one policy for "
+                "every player, on ptne_env.envs.sb3.PlayerVecEnv"
+            )
         if expected not in (None, (layout.size,)):
             raise LayoutError(
                 f"it was trained on observations of shape {expected}, and this track with the interface "

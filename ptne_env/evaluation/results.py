@@ -204,7 +204,8 @@ class Results:
         """
         lines = [repr(self)]
         for track in self.tracks:
-            lines += ["", f"{track.name}, {self.episodes[track.name]} episodes: digits, mean regret"]
+            count = self.episodes[track.name]
+            lines += ["", f"{track.name}, {count} episode{'s' * (count > 1)}: digits, mean regret"]
             found = {
                 self._label(name): (_with_interval(digits), self.summary(track.name, name, "mean_regret"))
                 for name, digits in self.ranked(track.name).items()

@@ -71,8 +71,9 @@ def several(given: Any) -> Iterable[Any]:
     if isinstance(given, type) or not isinstance(given, Iterable):
         kind = f"the class {given.__name__}" if isinstance(given, type) else f"a {type(given).__name__}"
         raise TypeError(
-            f"expected names, policies or scenarios, got {kind}; the scenario of an environment is env.scenario, and a "
-            "policy is an object with predict, or PolicySpec(name, function of the layout)"
+            f"expected names, policies or scenarios, got {kind}; the scenario of an environment is env.scenario, that "
+            "of a function what it returns, and a policy is an object with predict, or PolicySpec(name, function of "
+            "the layout)"
         )
     return given
 

@@ -144,9 +144,9 @@ def resolve(target: str) -> Any:
     try:
         module = importlib.import_module(module_name)
     except (ImportError, TypeError) as error:  # a relative name is a TypeError
-        alike = [name for name in PARTS if name.startswith(f"{module_name}:")]
+        alike = [name.partition(":")[2] for name in PARTS if name.startswith(f"{module_name}:")]
         if alike:
-            raise ValueError(unknown_name("part", target, alike)) from error
+            raise ValueError(unknown_name(module_name, attribute, alike)) from error
         raise ValueError(f"cannot import the module of part {target!r}: {error}") from error
     try:
         return getattr(module, attribute)

@@ -79,6 +79,8 @@ def test_divergence_ends_the_episode_with_finite_values():
         assert env.observation_space(agent).contains(observations[agent])
         assert np.isfinite(rewards[agent])
         assert rewards[agent] < 0
+    with pytest.raises(KeyError, match="unknown agent 'player_99': agents are player_0 to "):
+        env.action_space("player_99")
     assert env.state_space.contains(env.state())
     assert np.all(np.isfinite(env.estimates))
     env.reset()

@@ -8,6 +8,7 @@ from small_suite import BASE, COMPLETE, untimed
 
 import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
+from ptne_env.envs.gymnasium import JointEnv
 from ptne_env.evaluation import COMPARED, POLICIES, Track, get_policy_spec
 from ptne_env.perception.observation import LayoutError
 from ptne_env.world.world import World
@@ -95,6 +96,14 @@ def test_an_interface_may_be_given_by_its_kind_and_a_track_its_scenario_by_name(
 def test_a_policy_that_fits_no_track_is_refused():
     with pytest.raises(ValueError, match="policy 'picky' fits no track: it was made for another layout"):
         evaluate(PolicySpec("picky", Picky), COMPLETE, episodes=1)
+
+
+def test_a_model_of_the_joint_view_is_told_what_to_train_instead():
+    model = laws.ZeroInput(ptne_env.parallel_env(COMPLETE).layout)
+    joint = JointEnv(COMPLETE)
+    model.observation_space, model.action_space = joint.observation_space, joint.action_space
+    with pytest.raises(ValueError, match="on the joint observation of all players.*PlayerVecEnv"):
+        evaluate(model, COMPLETE, episodes=1)
 
 
 def test_a_policy_is_not_applicable_where_it_does_not_fit():

@@ -142,7 +142,7 @@ def test_nested_foreign_targets_are_found_in_json_without_an_import(tmp_path):
 
 
 def test_an_unknown_id_gets_the_names_that_were_probably_meant():
-    with pytest.raises(ValueError, match="unknown part 'law:statik'; did you mean 'law:static'"):
+    with pytest.raises(ValueError, match="unknown law 'statik'; did you mean 'static'"):
         resolve("law:statik")
 
 

@@ -29,7 +29,7 @@ def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:
         ),
     )
     clock, step = ("s", "Θ") if certificate.clock == "effective" else ("t", "Δt")
-    kind = "exact" if certificate.digits_are_exact else "see the notes"
+    kind = "exact" if certificate.digits_are_exact else "not exact, see the notes"
     stable = "none" if certificate.largest_stable_step is None else number(certificate.largest_stable_step)
     rows = {"the law's own condition": "it promises nothing"}
     if (condition := certificate.condition) is not None:

@@ -161,7 +161,7 @@ def answer_table(results: Results) -> Table:
     if any(spec.is_oracle for spec in results.policies.values()):
         notes.append(ORACLE_NOTE)
     return Table(
-        f"Digits at the deadline ± half of the 95 % interval, {episodes} episodes",
+        f"Digits at the deadline ± half of the 95 % interval, {episodes} episode{'s' * (counts[-1] > 1)}",
         "scenario" if results.is_comparison else "track",
         (*tracks, score, MEAN_REGRET) if len(tracks) > 1 and means else (*tracks, MEAN_REGRET),
         tuple(columns),

@@ -34,8 +34,11 @@ from ptne_env.world.scenario import Scenario
 POLICY = "policy.onnx"
 """Name of the file of the policy."""
 
+CURVE = "digits_gained"
+"""The metric of the learning curve."""
+
 Progress = Callable[[int, int, float], None]
-"""Called with agent-steps done, agent-steps in all, and mean digits of the last evaluation, -inf before the first."""
+"""Called with agent-steps done and in all, and mean digits gained in the last evaluation, -inf before the first."""
 
 EVALUATIONS = 10
 """Evaluations of the learning curve, and checkpoints, in a run."""

@@ -43,6 +43,9 @@ from ptne_env.world import distances
 POLICY = "policy.npz"
 """Name of the file of the policy."""
 
+CURVE = "digits"
+"""The metric of the learning curve."""
+
 
 @dataclass(frozen=True)
 class Settings:
