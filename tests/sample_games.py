@@ -34,7 +34,7 @@ class BlockGame(Game):
         self.offset = generator.uniform(-8, 8, n)
 
     def block(self, player):
-        start = int(self.offsets[player])
+        start = sum(self.action_dims[:player])
         return slice(start, start + self.action_dims[player])
 
     def costs(self, strategies):

@@ -36,19 +36,11 @@ def read_json(path: Path, kind: str) -> dict[str, Any]:
         raise DamagedFileError(f"{path} is not {kind}: it is no file")
     data = path.read_bytes()
     try:
-        value = json.loads(data, object_pairs_hook=_object, parse_constant=_refuse)
+        value = json.loads(data, parse_constant=_refuse)
     except (ValueError, RecursionError) as error:
         raise DamagedFileError(f"{path} is not {kind}: it is cut off, damaged or something else ({error})") from error
     if not isinstance(value, dict):
         raise DamagedFileError(f"{path} is not {kind}: expected a JSON object, got {type(value).__name__}")
-    return value
-
-
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """A JSON object; readers differ in which of two values of one key they take."""
-    value = dict(pairs)
-    if len(value) < len(pairs):
-        raise ValueError("an object has a key twice")
     return value
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ptne_env.bench.suite import Suite
 from ptne_env.evaluation.tracks import Teammates, Track
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.world.catalogue import get_scenario
@@ -135,3 +136,5 @@ TRACKS = (
         episodes=10,
     ),
 )
+
+SUITE = Suite("ptne-v1", TRACKS, episodes=60)

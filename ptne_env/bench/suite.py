@@ -80,18 +80,11 @@ class Suite:
         return EpisodeSet(count, seed, split, (self.name, track))
 
 
-def ptne_v1() -> Suite:
-    """The suite ``ptne-v1``."""
-    from ptne_env.bench.ptne_v1 import TRACKS
-
-    return Suite("ptne-v1", TRACKS, episodes=60)
-
-
 SUITES: Mapping[str, str] = {
-    "ptne-v1": "ptne_env.bench.suite:ptne_v1",
+    "ptne-v1": "ptne_env.bench.ptne_v1:SUITE",
     "robustness": "ptne_env.bench.robustness:robustness",
 }
-"""The published suites: name, and the ``"module:object"`` that makes each."""
+"""The published suites: name, and the ``"module:object"`` that is or makes each."""
 
 
 def get_suite(suite: str | Suite) -> Suite:

@@ -121,7 +121,7 @@ def initial_estimates(layout: ObservationLayout, num_envs: int, given: npt.Array
         given: by the caller, shape (N, n) for all or (B, N, n), row i being x^i(0).
 
     Raises:
-        ValueError: for another shape, no numbers, or numbers out of range.
+        ValueError: for another shape, or no numbers.
     """
     try:
         table = as_plain("initial estimates", given).astype(np.float64)
@@ -130,8 +130,6 @@ def initial_estimates(layout: ObservationLayout, num_envs: int, given: npt.Array
     shape = (num_envs, layout.num_players, layout.dimension)
     if table.shape not in (shape, shape[1:]):
         raise ValueError(f"initial estimates have the shape (N, n) = {shape[1:]} or {shape}, got {table.shape}")
-    if not np.all(np.abs(table) <= RANGE_LIMIT):
-        raise ValueError(f"initial estimates must be finite and within ±{RANGE_LIMIT:g}")
     return np.broadcast_to(table, shape).transpose(2, 1, 0)
 
 
@@ -148,6 +146,7 @@ class Simulation:
         encoder: as given.
         world: of the encoder.
         num_envs: B.
+        max_cycles: as given.
         reward_names: the names of the reward terms in infos.
 
     Raises:
@@ -164,22 +163,13 @@ class Simulation:
     ) -> None:
         self.encoder, self.world = encoder, encoder.world
         self.num_envs = require_count("num_envs", num_envs, 1)
-        self.max_cycles = max_cycles
+        self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self._reward = Reward(self.world, reward)
         self.reward_names = [f"reward_{name}" for name in self._reward.weights]
         self._never = np.zeros(self.num_envs, dtype=np.bool_)
         self._never.flags.writeable = False
         self._streams: list[RandomStreams] = []
         self.state: State | None = None
-
-    @property
-    def max_cycles(self) -> int | None:
-        """As given; may be set at any time."""
-        return self._max_cycles
-
-    @max_cycles.setter
-    def max_cycles(self, value: int | None) -> None:
-        self._max_cycles = None if value is None else require_count("max_cycles", value, 1)
 
     @property
     def current(self) -> State:
@@ -254,7 +244,7 @@ class Simulation:
         self.state = state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
         terms = self._reward.step(state)
         terminated, diverged = dynamics.is_over(self.world, state), state.diverged
-        truncated = self._never if self._max_cycles is None else ~terminated & (state.step >= self._max_cycles)
+        truncated = self._never if self.max_cycles is None else ~terminated & (state.step >= self.max_cycles)
         if restart is not None:
             self.begin(restart)
             moves = ~restart.mask

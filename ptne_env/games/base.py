@@ -83,11 +83,6 @@ class Game(Part, ABC):
         return sum(self.action_dims)
 
     @cached_property
-    def offsets(self) -> IntArray:
-        """First component of each player's block, shape (N,)."""
-        return np.concatenate([[0], np.cumsum(self.action_dims)[:-1]]).astype(np.int64)
-
-    @cached_property
     def owners(self) -> IntArray:
         """The player that owns each component, shape (n,)."""
         return np.repeat(np.arange(self.num_players), self.action_dims).astype(np.int64)
@@ -114,13 +109,13 @@ class Game(Part, ABC):
         This is **F** of the paper's eq. (11); block i depends on column i alone.
         """
 
-    @abstractmethod
-    def best_response(self, strategies: FloatArray) -> FloatArray:
+    def best_response(self, strategies: FloatArray) -> FloatArray:  # noqa: ARG002 - subclasses use them
         """Argmin over y in the box of J_i(y, x_{-i}) for every player: (n, B) to (n, B).
 
         Raises:
-            NoBestResponseError: when some player's cost has no minimiser for some x_{-i}.
+            NoBestResponseError: when some player's cost has no minimiser for some x_{-i}, or no subclass knows it.
         """
+        raise NoBestResponseError(f"{type(self).__name__} has no best response")
 
     def regrets(self, strategies: FloatArray) -> FloatArray:
         """J_i(x) − min over y in the box of J_i(y, x_{-i}) ≥ 0 of every player: (n, B) to (N, B).

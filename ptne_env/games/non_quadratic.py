@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ptne_env.games.base import Game, NoBestResponseError
+from ptne_env.games.base import Game
 from ptne_env.shared.arrays import FloatArray, array_namespace
 
 _SLOPE_OF_FOURTH = {"printed": 1.0, "corrected": 4.0}
@@ -17,7 +17,7 @@ class NonQuadraticGame(Game):
 
     J4 = w x4 + x4² + x3³, where w = 1 as printed (ln e^{x4}) and w = 4 in the corrected variant, the only one with
     the equilibrium that the paper prints (docs/errata.md, 1). F is neither strongly monotone nor globally
-    Lipschitz, and J2 is unbounded below in x2 wherever x4 ≥ 0.
+    Lipschitz, and J2 is unbounded below in x2 wherever x4 ≥ 0, so there is no best response.
 
     Args:
         variant: ``"corrected"`` or ``"printed"``.
@@ -69,16 +69,6 @@ class NonQuadraticGame(Game):
         matrix[3, 3] = 2
         matrix[4, 4] = 2
         return matrix
-
-    def best_response(self, strategies: FloatArray) -> FloatArray:  # noqa: ARG002 - the signature is the interface
-        """Does not exist: J2 is unbounded below in x2 wherever x4 ≥ 0.
-
-        Raises:
-            NoBestResponseError: always.
-        """
-        raise NoBestResponseError(
-            "the non-quadratic game has no best response: J2 is unbounded below in x2 wherever x4 ≥ 0"
-        )
 
     def _solve_nash_equilibria(self) -> FloatArray:
         x4 = -self._slope / 2

@@ -10,7 +10,7 @@ import numpy as np
 from ptne_env.games import Game
 from ptne_env.shared.arrays import frozen
 from ptne_env.theory.check_game import check_game
-from ptne_env.theory.constants import MonotonicityConstants, jacobian_at_equilibrium
+from ptne_env.theory.constants import SAMPLES, MonotonicityConstants, jacobian_at_equilibrium
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.world import World
 
@@ -59,7 +59,7 @@ def check_assumptions(world: World, constants: MonotonicityConstants) -> tuple[A
     connected = "the fixed graph is connected" if topology.is_fixed else "every graph is connected at every instant"
     union = "λ2 of the union graph" + ", almost surely" * (topology.is_random and smallest == 0)
     curvature, meaning, convex = _check_convexity(world.game)
-    kind = "exact" if constants.exact else f"from {constants.samples} samples within {constants.radius:g} of x*"
+    kind = "exact" if constants.exact else f"from {SAMPLES} samples within {constants.radius:g} of x*"
     monotone: Verdict = "fails" if constants.epsilon <= 0 else "holds" if constants.exact else "sampled only"
     return (
         _check_lemma(world),

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from ptne_env.games.base import Game
-from ptne_env.shared.arrays import FloatArray, IntArray
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray
 
 _RADII = np.array([1e2, 1e3, 1e4])
 
@@ -71,7 +71,7 @@ def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int 
 
     convex, unbounded = [], []
     for player in range(game.num_players):
-        block = slice(int(game.offsets[player]), int(game.offsets[player]) + game.action_dims[player])
+        block = game.owners == player
         direction = generator.normal(size=(game.action_dims[player], samples))
         direction /= np.linalg.norm(direction, axis=0)
         convex.append(_strictly_convex(game, points, player, block, direction))
@@ -139,7 +139,7 @@ def _gradients(game: Game, points: FloatArray) -> FloatArray:
 
 
 def _cost_on_ray(
-    game: Game, points: FloatArray, player: int, block: slice, direction: FloatArray, distance: float
+    game: Game, points: FloatArray, player: int, block: BoolArray, direction: FloatArray, distance: float
 ) -> FloatArray:
     moved = points.copy()
     moved[block] = points[block] + distance * direction
@@ -147,7 +147,7 @@ def _cost_on_ray(
         return game.costs(moved)[player]
 
 
-def _strictly_convex(game: Game, points: FloatArray, player: int, block: slice, direction: FloatArray) -> bool:
+def _strictly_convex(game: Game, points: FloatArray, player: int, block: BoolArray, direction: FloatArray) -> bool:
     if game.has_bounds:  # between two points of the box
         direction = (np.roll(points[block], 1, axis=1) - points[block]) / 2
         points = points.copy()
@@ -156,7 +156,7 @@ def _strictly_convex(game: Game, points: FloatArray, player: int, block: slice, 
     return bool(np.all(low + high - 2 * middle > 1e-9 * (1 + np.abs(middle))))
 
 
-def _radially_unbounded(game: Game, points: FloatArray, player: int, block: slice, direction: FloatArray) -> bool:
+def _radially_unbounded(game: Game, points: FloatArray, player: int, block: BoolArray, direction: FloatArray) -> bool:
     grows = True
     for sign in (-1.0, 1.0):
         ray = sign * direction

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ptne_env.games import Game
-from ptne_env.shared.arrays import FloatArray, require_count, require_positive
+from ptne_env.shared.arrays import FloatArray, require_positive
 
 ZERO = 1e-10
 """Below this fraction of a matrix's norm a number counts as zero: kernels of disconnected graphs are rounding."""
+
+SAMPLES = 256
+"""Points behind constants that are not exact."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,6 @@ class MonotonicityConstants:
         iota_strategies: ι_F, the Lipschitz constant of F on R^n.
         iota_estimates: the Lipschitz constant of the stacked **F** on R^{Nn}.
         exact: whether F is affine, so that the numbers are exact and global.
-        samples: number of points behind them; 1 when exact.
         radius: half-width of the sampled box around x*; ``None`` when exact.
     """
 
@@ -34,7 +36,6 @@ class MonotonicityConstants:
     iota_strategies: float
     iota_estimates: float
     exact: bool
-    samples: int
     radius: float | None
 
     @property
@@ -43,9 +44,7 @@ class MonotonicityConstants:
         return max(self.iota_strategies, self.iota_estimates)
 
 
-def monotonicity_constants(
-    game: Game, *, samples: int = 256, radius: float = 10.0, seed: int = 0
-) -> MonotonicityConstants:
+def monotonicity_constants(game: Game, *, radius: float = 10.0) -> MonotonicityConstants:
     """ε and ι of Assumption 4: exact for affine F, sampled bounds otherwise.
 
     ε = λ_min of the symmetric part of dF, ι_F = ‖dF‖₂, and for **F** the largest ‖rows of player i in dF‖₂, since
@@ -53,20 +52,17 @@ def monotonicity_constants(
 
     Args:
         game: the game.
-        samples: number of points drawn from U(x* − radius, x* + radius) when F is not affine, and projected into the
-            game's box.
-        radius: half-width of that box.
-        seed: of the draws.
+        radius: half-width of the box around x* from which points are drawn when F is not affine, and projected into
+            the game's box.
 
     Raises:
-        ValueError: when samples < 1 or radius ≤ 0.
+        ValueError: when radius ≤ 0.
     """
-    require_count("samples", samples, 1)
     require_positive("radius", radius)
     points = game.nash_equilibrium[:, None]
     if not game.is_affine:
-        generator = np.random.default_rng(seed)
-        points = game.project(points + generator.uniform(-radius, radius, (game.dimension, samples)))
+        generator = np.random.default_rng(0)
+        points = game.project(points + generator.uniform(-radius, radius, (game.dimension, SAMPLES)))
     sampled = np.moveaxis(game.jacobian(points), 2, 0)
     symmetric = (sampled + sampled.transpose(0, 2, 1)) / 2
     blocks = [sampled[:, game.owners == player] for player in range(game.num_players)]
@@ -76,7 +72,6 @@ def monotonicity_constants(
         iota_strategies=_largest_norm(sampled),
         iota_estimates=max(_largest_norm(block) for block in blocks),
         exact=game.is_affine,
-        samples=points.shape[1],
         radius=None if game.is_affine else float(radius),
     )
 

@@ -42,7 +42,6 @@ def test_equilibrium_cannot_be_overwritten():
 def test_blocks_and_owners_follow_the_dimensions():
     game = BlockGame((2, 1, 3))
     assert game.dimension == 6
-    assert game.offsets.tolist() == [0, 2, 3]
     assert game.owners.tolist() == [0, 0, 1, 2, 2, 2]
 
 

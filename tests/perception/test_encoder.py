@@ -190,7 +190,7 @@ def test_scaled_action_is_in_units_of_the_scale_and_in_ego_order(name):
     for b in range(2):
         for i in range(game.num_players):
             for place in range(n):
-                component = (int(game.offsets[i]) + place) % n
+                component = (sum(game.action_dims[:i]) + place) % n
                 wanted = np.clip(actions[b, i, place], -1, 1) * 5 / 3 * scale[b, i]
                 saturated += abs(wanted) > 30
                 assert inputs[component, i, b] == pytest.approx(np.clip(wanted, -30, 30), rel=2e-5)

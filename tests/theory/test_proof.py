@@ -55,7 +55,7 @@ def least_on_quadrant(form):
 
 
 def test_matrix_of_the_proof_by_hand():
-    constants = MonotonicityConstants(2.0, 3.0, 1.0, exact=True, samples=1, radius=None)
+    constants = MonotonicityConstants(2.0, 3.0, 1.0, exact=True, radius=None)
     expected = [[0.5, -1.5], [-1.5, 7.0]]  # ε/N = 2/4, ι/√N = 3/2, κλ2 − ι = 5·2 − 3
     np.testing.assert_allclose(proof_matrix(constants, 2.0, 4, 5.0), expected)
 
