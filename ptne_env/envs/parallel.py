@@ -116,8 +116,12 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     @property
     def max_cycles(self) -> int | None:
-        """Steps after which the episode is truncated, or ``None``."""
+        """Steps after which the episode is truncated, or ``None``; may be set at any time."""
         return self._simulation.max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self._simulation.max_cycles = value
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The agent's own Box, the same object on every call."""

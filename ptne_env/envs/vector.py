@@ -98,6 +98,16 @@ class VectorParallelEnv:
         self.single_action_space: spaces.Box = self.layout.action_space()
         self._over = np.ones(self.num_envs, dtype=np.bool_)
 
+    @property
+    def max_cycles(self) -> int | None:
+        """Steps after which an episode is truncated; may be set at any time."""
+        return self._blocks[0].max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        for block in self._blocks:
+            block.max_cycles = value
+
     def reset(
         self,
         seed: int | Sequence[int | None] | None = None,

@@ -6,9 +6,9 @@ deciding numbers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy import integrate, linalg
@@ -34,14 +34,12 @@ class Claim:
         statement: the claim.
         verdict: ``"holds"`` or ``"fails"``.
         finding: the measurement in one sentence.
-        measured: the numbers of the measurement, JSON-serialisable and finite.
     """
 
     name: str
     statement: str
     verdict: Literal["holds", "fails"]
     finding: str
-    measured: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def word(self) -> str:
@@ -55,9 +53,9 @@ Check: TypeAlias = Callable[[Experiments], Iterator[Claim]]
 """A measurement that decides some claims."""
 
 
-def decided(name: str, statement: str, met: bool, finding: str, **measured: Any) -> Claim:  # noqa: FBT001
+def decided(name: str, statement: str, met: bool, finding: str) -> Claim:  # noqa: FBT001
     """The claim, which holds if the condition on its measurement is ``met``."""
-    return Claim(name, statement, "holds" if met else "fails", finding, measured)
+    return Claim(name, statement, "holds" if met else "fails", finding)
 
 
 def lemma_1(experiments: Experiments) -> Iterator[Claim]:
@@ -84,7 +82,6 @@ def lemma_1(experiments: Experiments) -> Iterator[Claim]:
         "a λ with (7a)–(7c) turns the loop in t into the loop in s with ψ(s) = ξ(λ(s))",
         not violated and mismatch <= 1e-8,
         f"conditions {'violated' if violated else 'hold'}; largest relative mismatch {mismatch:.1e}",
-        violated=violated,
     )
 
 
@@ -151,15 +148,12 @@ def theorem_2(experiments: Experiments) -> Iterator[Claim]:
         "the equilibrium is maintained and u stays zero from T on",
         held <= min(VANISHED, distance[k]) and input_held <= min(VANISHED, inputs[k]),
         f"largest error after T {held:.1e}, largest ‖u‖ {input_held:.1e}",
-        error_at_deadline=float(distance[k]),
-        largest_error_after=held,
     )
     yield decided(
         "Theorem 2, boundedness of u",
         "u is uniformly bounded",
         peak <= inputs[0] * (1 + 1e-9) and exponents["input"] > 0,
         f"largest ‖u‖ {peak:.4g} at t = 0; ‖u‖ ~ (T−t)^{exponents['input']:.3f}",
-        exponent=exponents["input"],
     )
     bounded = "the input of Problem 1, which is the velocity g(t) u, is bounded"
     for name, statement, symbol, quantity in (
@@ -171,8 +165,6 @@ def theorem_2(experiments: Experiments) -> Iterator[Claim]:
             statement,
             exponents[quantity] >= -1e-3,
             f"‖{symbol}‖ ~ (T−t)^{exponents[quantity]:.3f}; above the gain condition (T−t)^{conditioned[quantity]:.3f}",
-            exponent=exponents[quantity],
-            exponent_above_gain_condition=conditioned[quantity],
         )
 
 
@@ -235,8 +227,6 @@ def _adaptive_claim(name: str, statement: str, run: Run) -> Claim:
         at_deadline <= VANISHED and smallest_growth >= 0 and change <= 1e-3,
         f"error {at_deadline:.1e} at T; κ_ij {'never decreases' if smallest_growth >= 0 else 'decreases'}, "
         f"ends between {gains[k].min():.2f} and {gains[k].max():.2f}, last change {100 * change:.2g} %",
-        error_at_deadline=at_deadline,
-        error_at_s={f"{value:g}": float(distance[np.searchsorted(s, value)]) for value in (8, 15, 30, 60)},
     )
 
 

@@ -30,11 +30,6 @@ def erratum_1(experiments: Experiments) -> Iterator[Claim]:
         "as printed, Example 2 does not have the printed equilibrium; with J4 = 4 x4 + x4² + x3³ it has",
         distance > 0.1 and rounding <= 1e-4,
         f"as printed x* = ({point}), off by {distance:.3f}; corrected off by {rounding:.0e}",
-        equilibrium_printed=printed.nash_equilibrium.tolist(),
-        equilibrium_corrected=corrected.nash_equilibrium.tolist(),
-        gradient_at_claimed={
-            game.variant: float(np.linalg.norm(game.pseudo_gradient(claimed[:, None]))) for game in (printed, corrected)
-        },
     )
     report = check_game(corrected)
     near, far = (monotonicity_constants(corrected, radius=radius) for radius in (10.0, 40.0))
@@ -48,11 +43,6 @@ def erratum_1(experiments: Experiments) -> Iterator[Claim]:
         not report.assumption_3_holds and near.epsilon < 0 and far.iota > 10 * near.iota and until > 0,
         f"ε ≤ {near.epsilon:.2f}; ι ≥ {near.iota:.3g} within 10 of x*, ≥ {far.iota:.3g} within 40; "
         f"player 2 estimates x4 ≥ 0 (up to {fourth.max():.2f}) until t = {until:.3f} s",
-        epsilon=near.epsilon,
-        iota_within_10=near.iota,
-        iota_within_40=far.iota,
-        radially_unbounded=list(report.radially_unbounded),
-        estimate_of_x4_positive_until=until,
     )
 
 
@@ -74,10 +64,6 @@ def erratum_2(experiments: Experiments) -> Iterator[Claim]:
         and not any(graph.is_connected for graph in last)
         and at_deadline <= VANISHED,
         f"error at T {table}; dwelling in s {at_deadline:.1e}",
-        periods=periods,
-        error_at_deadline=errors,
-        switches_before_deadline=[len(run.timeline.segments) - 1 for run in runs],
-        error_at_deadline_transformed=at_deadline,
     )
 
 
@@ -92,10 +78,6 @@ def erratum_3(experiments: Experiments) -> Iterator[Claim]:
         max(abs(velocity - (rate - 1)), abs(derivative - (rate - 1)), abs(energy - (1 - 2 * rate))) <= 0.01
         and velocity < 0 < energy,
         f"r = {rate:.4f}; exponents {velocity:.4f} of g u, {derivative:.4f} of du/dt; energy ~ e^({energy:.4f} s)",
-        rate=rate,
-        velocity_exponent=velocity,
-        input_derivative_exponent=derivative,
-        energy_growth=energy,
     )
 
 
@@ -124,14 +106,6 @@ def erratum_4(experiments: Experiments) -> Iterator[Claim]:
         f"the 5-cycle needs κ > {bound:.3f}; {len(violating)} of {len(graphs)} graphs have λ2 < {least:.3f} and "
         f"violate it, slowest rate r = {slowest:.3f}; {near} of {len(labelled)} labelled graphs come within 5 % of "
         f"Table I, and those with a larger λ2 not closer than {nearest_strong:.2%}",
-        gain_bound_on_cycle=bound,
-        least_connectivity=least,
-        graphs=len(graphs),
-        slowest_rate=slowest,
-        labelled_graphs=len(labelled),
-        labelled_graphs_with_larger_connectivity=int(strong.sum()),
-        labelled_graphs_within_5_percent=near,
-        smallest_deviation_with_larger_connectivity=nearest_strong,
     )
 
 
@@ -158,11 +132,6 @@ def erratum_6(experiments: Experiments) -> Iterator[Claim]:
         36.0 <= limit <= 37.0 and offset <= 0.5,
         f"s ≤ {limit:.2f}; pure gain {pure:.2f} digits (predicted {pure_predicted:.2f}), with c = 20 and s_end = 8 "
         f"{digits[1]:.2f} (predicted {predicted[1]:.2f})",
-        largest_s=limit,
-        pure_digits=pure,
-        pure_digits_predicted=pure_predicted,
-        digits=digits,
-        digits_predicted=predicted,
     )
 
 
@@ -187,9 +156,6 @@ def _misprinted_coupling(experiments: Experiments) -> Claim:
         "e^i − e^j as printed forces e = 0 and the estimates never meet; x^i − x^j is meant",
         smallest > 0 and printed > 0.1 and meant <= VANISHED,
         f"λ_min(I + κL) = {smallest:.3g}; error after 100 s {printed:.3f} as printed, {meant:.1e} as meant",
-        smallest_eigenvalue=smallest,
-        error_as_printed=printed,
-        error_as_meant=meant,
     )
 
 
@@ -204,8 +170,6 @@ def _missing_assumption() -> Claim:
         "Assumptions 1–3 do not suffice: without Assumption 4 the loop can diverge at every gain",
         satisfied and epsilon < 0 and max(rates) < 0,
         f"J_i = x_i²/2 + 2 x_1 x_2 has ε = {epsilon:.3g} and rates {min(rates):.3f} to {max(rates):.3f}: it diverges",
-        epsilon=epsilon,
-        rates=rates,
     )
 
 
@@ -225,8 +189,6 @@ def _missing_constant(experiments: Experiments) -> Claim:
         "dκ_ij/dt for t ≥ T lacks the factor c that the adaptive law has there",
         meant > 0 and printed < meant / (GAIN / 2),
         f"Σ κ_ij grows by {meant:.4f} with c and {printed:.5f} as printed, {meant / printed:.1f} times less",
-        growth_with_constant=meant,
-        growth_as_printed=printed,
     )
 
 
