@@ -1,6 +1,6 @@
 """Minari: the law's episodes as a dataset, loaded again and cloned.
 
-The law is linear in the observation of a player, so least squares can clone it.
+The law of a player is linear in its observation, so least squares can clone it.
 
 Run it with: python examples/ecosystem/minari_cloning.py
 """
@@ -51,15 +51,13 @@ def replay(dataset: minari.MinariDataset) -> list[float]:
     return gained
 
 
-def clone(dataset: minari.MinariDataset, size: int) -> np.ndarray:
-    """The matrix W for which observation @ W is closest to the law's action."""
+def clone(dataset: minari.MinariDataset, players: int) -> np.ndarray:
+    """The matrix of each player (N, size, action size) with which its observation is closest to the law's action."""
     episodes = list(dataset.iterate_episodes())
     observations = np.concatenate([episode.observations[:-1] for episode in episodes])  # the last one has no action
     actions = np.concatenate([episode.actions for episode in episodes])
-    players = observations.shape[1] // size
-    return np.linalg.lstsq(
-        observations.reshape(len(observations) * players, -1), actions.reshape(len(actions) * players, -1)
-    )[0].astype(np.float32)
+    pairs = zip(np.split(observations, players, axis=1), np.split(actions, players, axis=1), strict=True)
+    return np.stack([np.linalg.lstsq(seen.astype(np.float64), done)[0] for seen, done in pairs])
 
 
 def main() -> None:
@@ -69,9 +67,16 @@ def main() -> None:
         record()
         dataset = minari.load_dataset(NAME)
         gained = replay(dataset)
-        weights = clone(dataset, dataset.recover_environment().unwrapped.layout.size)
-    before = digits(Acting(lambda observations: observations @ np.zeros_like(weights)), Interface("physical"))
-    report(gained, before, digits(Acting(lambda observations: observations @ weights), Interface("physical")))
+        layout = dataset.recover_environment().unwrapped.layout
+        weights = clone(dataset, layout.num_players)
+
+    def act(rows: np.ndarray) -> np.ndarray:
+        players = layout.select(rows, "player").argmax(axis=1)
+        return np.einsum("rs,rsa->ra", rows, weights[players]).astype(np.float32)
+
+    physical = Interface("physical")
+    before = digits(Acting(lambda rows: np.zeros((len(rows), layout.action_size), dtype=np.float32)), physical)
+    report(gained, before, digits(Acting(act), physical))
 
 
 if __name__ == "__main__":
