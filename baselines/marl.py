@@ -429,8 +429,8 @@ first lines say how to install the libraries. [marl.json](marl.json) holds all r
 - What was seen of `maddpg`, on switching-physical in one run each: after 10,240 agent-steps 56 % of its actions were
   within 0.01 of a bound and hardly depended on the state (standard deviation 0.01), while the critic's squared error
   (0.0028) was still the variance of the reward. It did not help to take the reward times 100 (-3.32 digits after
-  61,440 agent-steps), with it a learning rate of 1e-4 (-3.29), or a critic per player (`iddpg`, -3.33 after 30,720).
-  The cause is not established.
+  61,440 agent-steps), with it a learning rate of 1e-4 (-3.29), a critic per player (`iddpg`, -3.33 after 30,720), or
+  ReLU for the tanh of the networks (-3.22 after 92,160, 82 % of the actions at a bound). The cause is not established.
 - Seconds are the mean wall time of a training on one core that other work shared, and in brackets its processor time.
 
 ![Learning curves](marl.png)
