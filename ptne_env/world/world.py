@@ -124,6 +124,7 @@ class World:
         self.start.draw(self.game.num_players, self.game.dimension, np.random.default_rng(0))
         self._tabulate_neighbours()
         self._tabulate_time()
+        self._warn_unless_monotone()
         shortfall = self.clock.shortfall
         if shortfall > SHORTFALL_WARNING:
             warnings.warn(
@@ -228,6 +229,19 @@ class World:
                 f"scenario {name!r}: the shortest dwell, {topology.shortest_dwell:.4g} on the {topology.clock} clock, "
                 f"is shorter than the longest step, {longest:.4g}, so graphs would be skipped; use more steps, another "
                 "spacing or longer dwells"
+            )
+
+    def _warn_unless_monotone(self) -> None:
+        """Warn where F is affine and not monotone; a family declares it, and other games are checked on samples."""
+        if not (self.game.is_affine and not self.has_random_game):
+            return
+        jacobian = self.game.jacobian(np.zeros((self.game.dimension, 1)))[..., 0]
+        smallest = float(np.linalg.eigvalsh((jacobian + jacobian.T) / 2)[0])
+        if smallest < -1e-9 * np.abs(jacobian).max():
+            warnings.warn(
+                f"scenario {self.scenario.name!r}: F is not monotone (ε = {smallest:.3g}), which the paper's theorems "
+                "need: a law may leave the equilibrium; 'ptne certify' checks all they assume",
+                stacklevel=3,
             )
 
     def _tabulate_neighbours(self) -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from worlds import FROM_THE_PAPER
 
 from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
-from ptne_env.games import EnergyGame, NonQuadraticGame
+from ptne_env.games import AffineGame, EnergyGame, NonQuadraticGame
 from ptne_env.world.graphs import complete, cycle
 from ptne_env.world.switching import paper_topology
 from ptne_env.world.world import World
@@ -79,6 +79,12 @@ def test_families_have_any_number_of_players_and_graphs_come_from_networkx_and_a
 def test_a_shortfall_above_one_percent_is_a_warning():
     with pytest.warns(UserWarning, match=r"11\.11% of T short of the deadline; raise s_end"):
         World(get_scenario("energy", transformation="rational"))
+
+
+def test_an_affine_game_that_is_not_monotone_is_a_warning():
+    game = AffineGame(2 * np.ones((5, 5)) - np.eye(5), np.ones(5))
+    with pytest.warns(UserWarning, match=r"F is not monotone \(ε = -1\).*ptne certify"):
+        World(get_scenario("energy", game=game))
 
 
 def test_a_topology_that_is_not_jointly_connected_is_refused():
