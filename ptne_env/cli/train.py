@@ -114,7 +114,7 @@ def train(
         say(f"Mean of {seeds} seeds: {mean:.2f} digits, from {min(reached):.2f} to {max(reached):.2f}")
     laws = yardsticks(find_scenario(chosen.scenario))
     law = laws.summary(laws.tracks[0].name, LAW, "digits")
-    if law is not None and max(reached) < law.mean:
+    if law is not None and law.mean is not None and max(reached) < law.mean:
         say(f"The paper's law, {LAW}, has {law.mean:.2f} digits on validation episodes: more --steps may beat it")
     draw(
         {f"seed {each.seed}": folder for folder, each in runs.items()},
