@@ -45,7 +45,7 @@ docs: $(VENV)/.docs
 	$(BIN)/sphinx-build --builder html --jobs auto --conf-dir docs --quiet . $(OUT)/site
 	@echo 'Site written to $(OUT)/site/docs/index.html: open it in a browser'
 
-# The examples of other frameworks, each in an environment of its own in .ecosystem/, which take 16 GB.
+# The examples of other frameworks, each in an environment of its own in .ecosystem/, which take 20 GB.
 ecosystem: $(VENV)/bin/python
 	$(BIN)/python examples/ecosystem/run.py
 
