@@ -30,7 +30,7 @@ apidoc_modules = [
 ]  # fmt: skip
 suppress_warnings = ["ref.python"]  # short names of types in docstrings may have two homes
 autodoc_member_order = "bysource"
-autodoc_mock_imports = ["benchmarl", "jax", "ray", "stable_baselines3", "tensordict", "torch", "torchrl"]
+autodoc_mock_imports = ["benchmarl", "jax", "optax", "ray", "stable_baselines3", "tensordict", "torch", "torchrl"]
 napoleon_use_ivar = True
 
 
