@@ -28,7 +28,7 @@ myst_heading_anchors = 4
 apidoc_modules = [
     {"path": "../ptne_env", "destination": "docs/api", "separate_modules": True, "module_first": True}
 ]  # fmt: skip
-suppress_warnings = ["ref.python"]  # short names of types in docstrings may have two homes
+suppress_warnings = ["ref.python", "toc.not_included"]  # types in docstrings may have two homes; links lead to pages
 autodoc_member_order = "bysource"
 autodoc_mock_imports = ["benchmarl", "jax", "optax", "ray", "stable_baselines3", "tensordict", "torch", "torchrl"]
 napoleon_use_ivar = True

@@ -109,7 +109,7 @@ class ObservationLayout:
     ``clock``                4        t/T, s, Θ_k, Δt_k/T
     ``time_since_switch``    1        over the topology's mean dwell, clipped to 1; 0 for a fixed graph
     ``player``               N        one-hot
-    ``relative_equilibrium`` n       x* − x^i (only under ``full``)
+    ``relative_equilibrium`` n        x* − x^i (only under ``full``)
     ======================== ======== =======================================================================
 
     Under ``scaled``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
