@@ -11,10 +11,12 @@ from __future__ import annotations
 
 import argparse
 import csv
+import json
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from statistics import fmean
 
 from ptne_env import CATALOGUE, evaluate
 from ptne_env.bench import Runner, Workers, leaderboard, run_suite
@@ -25,6 +27,7 @@ from ptne_env.shared.files import write_atomically
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "baselines" / "results.csv"
+ALGORITHMS = ROOT / "baselines" / "marl.json"
 METRICS = ("digits", "mean_regret", "digits_cvar", "settling_time", "settled_share", "diverged_share")
 """The metrics in the file."""
 
@@ -129,19 +132,38 @@ def by_track(found: Published, suite: str, policies: Sequence[str]) -> str:
     return markdown([suite.replace("comparison", "scenario"), *policies], rows)
 
 
+def best_law(found: Published, suite: str, track: str) -> tuple[str, Row]:
+    """The best policy of a track that is no network and sees what players see, and its digits."""
+    metric = "score" if track == ALL else "digits"
+    laws = [name for name in found.names("policy", suite) if not (POLICIES[name].files or POLICIES[name].is_oracle)]
+    cells = {name: found.cell(suite, track, name, metric) for name in laws}
+    rows = {name: cell for name, cell in cells.items() if cell is not None}
+    return max(rows.items(), key=lambda item: float(item[1]["mean"]))
+
+
+def best_standard(found: Published, track: str) -> str:
+    """The best policy of a standard algorithm: the shipped PPO, or on some tracks those of ``marl.json``."""
+    row = found.cell("ptne-v1", track, "ppo-ptne-v1", "score" if track == ALL else "digits")
+    digits = {} if row is None else {"ppo": float(row["mean"])}
+    trained = json.loads(ALGORITHMS.read_text(encoding="utf-8"))["runs"]["ptne-v1"]
+    for name, runs in trained.get(track, {}).items():
+        mean = fmean(fmean(run["absolute_metrics"]["digits"]) for run in runs.values())
+        digits[name] = max(mean, digits.get(name, mean))
+    name = max(digits, key=lambda name: digits[name], default="")
+    return f"{digits[name]:.2f} {name}" if name else "–"
+
+
 def headline(found: Published) -> str:
-    """The score and mean regret on ptne-v1, and the digits on some of its tracks, of a few policies."""
-    tracks = ("switching-physical", "rough-links", "liar", "crowd-50")
-    rows = [
-        [
-            policy,
-            with_interval(found.cell("ptne-v1", ALL, policy, "score")),
-            regret(found.cell("ptne-v1", ALL, policy, "mean_regret")),
-            *(plain(found.cell("ptne-v1", track, policy)) for track in tracks),
-        ]
-        for policy in ("zero-input", *HEADLINE, *LEARNED, "oracle")
-    ]
-    return markdown(["policy", "score on ptne-v1", "mean regret", *tracks], rows)
+    """The paper's law, the best law, the best standard algorithm and the recurrent network on each track of ptne-v1."""
+    rows = []
+    for track in (*found.names("track", "ptne-v1"), ALL):
+        name, best = best_law(found, "ptne-v1", track)
+        ours = [found.cell("ptne-v1", track, policy, best["metric"]) for policy in ("static", LEARNED[1])]
+        cells = [plain(ours[0]), f"{plain(best)} {name}", best_standard(found, track), plain(ours[1])]
+        rows.append(["**score**" if track == ALL else track, *cells])
+    return markdown(
+        ["track", "the paper's law", "best law", "best standard algorithm", "trained through the world"], rows
+    )
 
 
 def overall(found: Published) -> str:

@@ -33,7 +33,7 @@ Weights = dict[str, Any]
 Memory = dict[str, Any]
 """What players remember: hidden states, and the observation and displacement of the step before; zeros at a start."""
 
-SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS = 8, 7, 13, 3
+SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS = 8, 7, 12, 3
 
 
 class Seen(NamedTuple):
@@ -45,6 +45,7 @@ class Seen(NamedTuple):
         live: whether the slot has a message, (D, M).
         own: whether the component is the player's, (n, M).
         leads: whether it is the neighbour's, (D, n, M).
+        strategy: the own one, 0 outside of the own block, (n, M).
         clock: t/T, s, Θ_k and Δt_k/T, (4, M).
         age: time since the last switch over the mean dwell, (M,).
     """
@@ -54,6 +55,7 @@ class Seen(NamedTuple):
     live: Any
     own: Any
     leads: Any
+    strategy: Any
     clock: Any
     age: Any
 
@@ -69,6 +71,7 @@ def read(layout: ObservationLayout, observations: Any, player: npt.NDArray[np.in
         live=parts["weights"] > 0,
         own=own,
         leads=leads,
+        strategy=parts["own_estimate"] * own,
         clock=parts["clock"],
         age=parts["time_since_switch"][0],
     )
@@ -109,6 +112,8 @@ def initial_memory(weights: Weights, layout: ObservationLayout, players: int, xp
         "relative": (slots, n),
         "heard": (slots,),
         "moved": (n,),
+        "strategy": (n,),
+        "held": (n,),
         "log_scale": (),
         "started": (),
     }
@@ -129,7 +134,8 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
         each neighbour that a player copies, (D, n, M).
     """
     xp = array_namespace(seen.gradient)
-    scale, slots, components, players = _features(layout, Seen(*map(without_gradient, seen)), memory)
+    held = _held(Seen(*map(without_gradient, seen)), memory)
+    scale, slots, components, players = _features(layout, Seen(*map(without_gradient, seen)), memory, held)
     hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
     slot_inputs = [
         _linear(weights["slot_in"][gate], slots)
@@ -167,23 +173,36 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
         "relative": without_gradient(xp.where(live, seen.relative, memory["relative"])) - moved,
         "heard": xp.maximum(memory["heard"], seen.live),
         "moved": moved,
+        "strategy": without_gradient(seen.strategy),
+        "held": held,
         "log_scale": xp.log10(scale),
         "started": xp.ones_like(scale),
     }
     return inputs, after, gates
 
 
-def _features(layout: ObservationLayout, seen: Seen, memory: Memory) -> tuple[Any, Any, Any, Any]:
+def _held(seen: Seen, memory: Memory) -> Any:
+    """Where a wall of the box held the own strategy (1, else 0): less than half of the last move came about."""
+    xp = array_namespace(seen.gradient)
+    moved, came = memory["moved"] * seen.own, seen.strategy - memory["strategy"]
+    is_visible = xp.abs(moved) > 1e-6 * (xp.abs(seen.strategy) + 1e-6)  # in float32; else as before
+    held = (came - 0.5 * moved) * xp.sign(moved) < 0
+    return xp.where(is_visible, held, memory["held"]).astype(np.float32) * memory["started"]
+
+
+def _features(layout: ObservationLayout, seen: Seen, memory: Memory, held: Any) -> tuple[Any, Any, Any, Any]:
     """σ_i, shape (M,), and features per slot, (F, D, n, M), component, (F, n, M), and player."""
     xp = array_namespace(seen.gradient)
     live, started = seen.live.astype(np.float32), memory["started"]
     known, links, own = (live * memory["heard"])[:, None], live.sum(0), seen.own
-    largest = xp.maximum(xp.abs(seen.gradient).max(0), xp.abs(seen.relative).max((0, 1)))
+    # At a wall the gradient does not vanish, and is no measure of the distance to the equilibrium.
+    free_gradient, before = seen.gradient * (1 - held), memory["gradient"] * (1 - held)
+    largest = xp.maximum(xp.abs(free_gradient).max(0), xp.abs(seen.relative).max((0, 1)))
     scale = xp.maximum(largest, 1e-30)
     unit = 1 / scale
     relative, change = seen.relative * unit, (seen.relative - memory["relative"]) * known * unit
-    gradient, moved = seen.gradient * unit, memory["moved"] * unit
-    turn = (seen.gradient - memory["gradient"]) * (unit * started)
+    gradient, moved = free_gradient * unit, memory["moved"] * unit
+    turn = (free_gradient - before) * (unit * started)
     log_scale, theta = xp.log10(scale), xp.maximum(seen.clock[2], 1e-9)
     farthest = xp.log10(layout.input_limit * theta) - log_scale
     message_range = np.log10(min(layout.message_range, 1e6)).astype(np.float32) - log_scale
@@ -194,7 +213,8 @@ def _features(layout: ObservationLayout, seen: Seen, memory: Memory) -> tuple[An
     players = [log_scale / 10, xp.clip(log_scale - memory["log_scale"], -1, 1) * started]
     players += [seen.clock[0], seen.clock[1] / (layout.largest_clock[1] or 1.0), xp.log10(theta), seen.age]
     players += [links / 4, xp.clip(farthest, -1, 3) / 2, xp.clip(message_range, 0, 12) / 12, started]
-    players += [np.float32(np.log10(layout.num_players)), 1 / xp.maximum(links, 1), np.float32(1)]
+    # The number of players is not among them: networks fail among more players than they were trained with if it is.
+    players += [1 / xp.maximum(links, 1), np.float32(1)]
     shapes = relative.shape, gradient.shape, scale.shape
     return scale, *(
         xp.stack([xp.broadcast_to(each, shape).astype(np.float32) for each in features])

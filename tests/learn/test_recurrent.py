@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import ptne_env
+from ptne_env import learn
+from ptne_env.bench import get_suite
 from ptne_env.learn import PolicyFileError, PolicyLayoutError, recurrent
 
 WEIGHTS = recurrent.initial_weights(np.random.default_rng(0), hidden=6, slot_hidden=4)
@@ -31,6 +33,19 @@ def test_one_file_plays_worlds_of_any_size_and_its_episodes_start_afresh(scenari
     np.testing.assert_array_equal(mixed[1:], going_on[1:])
     np.testing.assert_array_equal(mixed[0], policy.predict(second[0])[0])
     assert (mixed[0] != going_on[0]).any()
+
+
+def test_a_player_knows_where_a_wall_of_its_box_holds_it():
+    env = ptne_env.parallel_env(get_suite("ptne-v1").track("uneven-box").scenario, interface="physical")
+    policy, memory = learn.load("recurrent-random-worlds", env.layout), None
+    observations, _ = env.reset(seed=0)
+    for _ in range(40):
+        rows = np.stack(list(observations.values()))
+        actions, memory, _ = policy.decide(rows, memory)
+        observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
+    at_a_wall = (np.abs(rows[:, env.layout.slices["own_estimate"]]) == 5) & env.layout.own_mask
+    assert at_a_wall.any()
+    np.testing.assert_array_equal(memory["held"].T, at_a_wall)
 
 
 def test_a_loaded_policy_has_the_digits_of_its_file_in_every_world(tmp_path):
