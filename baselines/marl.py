@@ -41,7 +41,6 @@ from scipy.stats import trim_mean
 from ptne_env import PolicySpec, VectorParallelEnv
 from ptne_env.bench import get_suite
 from ptne_env.bench.report.style import COLOURS, FAINT, INK, drawing
-from ptne_env.evaluation import POLICIES
 from ptne_env.evaluation.run import compare
 from ptne_env.shared.files import write_atomically
 
@@ -371,11 +370,8 @@ def last_fifth(runs: Mapping[str, Any]) -> float:
 def lines(track: str) -> dict[str, float]:
     """The published digits of the paper's law and of the best law on a track."""
     found = publish.read()
-    laws = [name for name, spec in POLICIES.items() if not (spec.is_oracle or spec.files)]
-    cells = {name: found.cell(SUITE.name, track, name) for name in laws}
-    scores = {name: float(cell["mean"]) for name, cell in cells.items() if cell is not None}
-    best = max(scores, key=lambda name: scores[name])
-    return {"static": scores["static"], best: scores[best]}
+    static, (best, row) = found.cell(SUITE.name, track, "static"), publish.best_law(found, SUITE.name, track)
+    return {"static": float(static["mean"]), best: float(row["mean"])}
 
 
 def page(data: Mapping[str, Any]) -> str:

@@ -209,8 +209,11 @@ def train(
         before = opened(out / POLICY, (out / POLICY).read_bytes())
         weights, resumed_at, steps = before.weights, before.training["done"], before.training["agent_steps"]
     mean = weights = jax.tree.map(jnp.asarray, weights)
-    rate = optax.cosine_decay_schedule(settings.rate, settings.updates, 0.02)
-    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(lambda count: rate(count + resumed_at)))
+    # Each step of Adam follows the mean slope in all worlds. Steps along those of single worlds undo each other.
+    turns = len(tracks)
+    rate = optax.cosine_decay_schedule(settings.rate, max(1, settings.updates // turns), 0.02)
+    adam = optax.adam(lambda count: rate(count + resumed_at // turns))
+    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.MultiSteps(adam, turns))
     memory, curve = optimiser.init(weights), np.zeros((0, 2))
     key = jax.random.fold_in(jax.random.key(settings.seed), resumed_at)
     lessons = [Lesson(track, settings, optimiser, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
