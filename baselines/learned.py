@@ -248,8 +248,8 @@ is in its other weights, for five players.
 
 Trained in 23 worlds, none of them of a suite, with at most 12 players, with one training seed: for 40 minutes on one
 core, and from these weights in 19 of the worlds for 27 minutes more, which the recipe repeats. The same network plays
-every track. Of the standard algorithms, `ppo` was trained on `nominal` for 5,000,000 agent-steps, and the others on the track
-itself for 92,160 ([marl.md](marl.md)).
+every track. Of the standard algorithms, `ppo` was trained on `nominal` for 5,000,000 agent-steps, and the others on the
+track itself for 92,160 ([marl.md](marl.md)).
 
 {1}
 
