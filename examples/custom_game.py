@@ -64,7 +64,7 @@ def main() -> None:
 
     scenario = get_scenario("energy", name="fashion", game="custom_game:Fashion", start="random")
     constants = theory.monotonicity_constants(game)
-    print(f"ε = {constants.epsilon:.3f}, ι = {constants.iota:.3f} on {constants.samples} samples")
+    print(f"ε = {constants.epsilon:.3f}, ι = {constants.iota:.3f}")
     for kappa in (2.0, 10.0):
         certificate = theory.certify(scenario, FactorySpec.of("law:static", kappa=kappa))
         condition = certificate.condition

@@ -33,7 +33,7 @@ MISUSES = {
     "parallel_env('energy', start=np.zeros((3, 3)))": "for 3 players and dimension 3.*choose start='random'",
     "parallel_env('energy', channel='noisy')": "unknown channel 'noisy'; did you mean 'noise'",
     "parallel_env('energy', channel='noise')": r"missing .* 'std'; name it with .* FactorySpec.of\('channel:noise', ",
-    "FactorySpec.of('channel:nois').build()": "unknown part 'channel:nois'; did you mean 'channel:noise'",
+    "FactorySpec.of('channel:nois').build()": "unknown channel 'nois'; did you mean 'noise'",
     "FactorySpec.of(3)": "a part is named by a string, a class or a function, got 3",
     "FactorySpec.of('channel:noise', std=env)": "arguments of a part are numbers, strings, lists and parts, got Nash",
     "parallel_env('energy-switching', topology=FactorySpec.of('topology:paper', dwell=0.003))": "use more steps",

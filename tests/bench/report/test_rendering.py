@@ -93,8 +93,12 @@ def test_ctrl_c_during_a_picture_is_no_error_of_matplotlib(monkeypatch):
     monkeypatch.setattr(
         Affine2DBase, "__array__", lambda *args, **kw: signal.raise_signal(signal.SIGINT) or array(*args, **kw)
     )
-    with pytest.raises(KeyboardInterrupt):
-        env.render()
+    ignored = signal.signal(signal.SIGINT, signal.default_int_handler)  # as tests in the background do
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            env.render()
+    finally:
+        signal.signal(signal.SIGINT, ignored)
 
 
 def test_unknown_mode_raises_with_the_choices():
