@@ -203,7 +203,8 @@ def answer(results: Results) -> tuple[str, ...]:
         return (f"{best} was compared with nothing; --policy names others.",)
     where = f"on {tracks[0]}"
     if count > 1:
-        where = f"or within {FIRST_MARGIN:g} digits of the closest, on {len(firsts[best])} of {count} {noun}s"
+        near = f"or with its interval within {FIRST_MARGIN:g} digits of the closest"
+        where = f"{near}, on {len(firsts[best])} of {count} {noun}s"
     equal = [name for name in _best_first(results) if firsts.get(name) == firsts[best]]
     names = best if len(equal) == 1 else f"{', '.join(equal[:-1])} and {equal[-1]}"
     come = "comes closest" if len(equal) == 1 else "are not told apart: they come closest"
@@ -229,7 +230,7 @@ def _reached(results: Results, track: str) -> dict[str, tuple[float, float]]:
 
 
 def first_places(results: Results) -> dict[str, list[str]]:
-    """The scored tracks on which each policy, oracles apart, is the best or within :data:`FIRST_MARGIN` of it."""
+    """The scored tracks on which each policy, oracles apart, has a first place; see :data:`FIRST_MARGIN`."""
     firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if not spec.is_oracle}
     for track in results.tracks:
         found = _reached(results, track.name) if track.scored else {}

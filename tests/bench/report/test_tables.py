@@ -86,8 +86,8 @@ def test_the_answer_has_a_row_per_track_and_their_mean(comparison, suite, hostil
 def test_the_answer_names_the_closest_policy_and_the_distance_of_the_papers_law(comparison):
     first, second = answer(comparison)
     assert first == (
-        "grounded comes closest to the Nash equilibrium by the deadline, or within 0.1 digits of the closest, on 2 of "
-        "2 scenarios."
+        "grounded comes closest to the Nash equilibrium by the deadline, or with its interval within 0.1 digits of the "
+        "closest, on 2 of 2 scenarios."
     )
     means = {
         (track, name): comparison.record(track, name, "digits")["mean"]
