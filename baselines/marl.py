@@ -422,11 +422,9 @@ first lines say how to install the libraries. [marl.json](marl.json) holds all r
   algorithms had learned by then, not what they can learn.
 - All players share one network and act from their own observations. The critics of `mappo`, `maddpg` and `masac` see
   those of all players in training. Each policy is trained on the track it plays, on other games.
-- What was seen of `maddpg`, on switching-physical in one run each: after 10,240 agent-steps 56 % of its actions were
-  within 0.01 of a bound and hardly depended on the state (standard deviation 0.01), while the critic's squared error
-  (0.0028) was still the variance of the reward. It did not help to take the reward times 100 (-3.32 digits after
-  61,440 agent-steps), with it a learning rate of 1e-4 (-3.29), a critic per player (`iddpg`, -3.33 after 30,720), or
-  ReLU for the tanh of the networks (-3.22 after 92,160, 82 % of the actions at a bound). The cause is not established.
+- The actions of `maddpg` go to their bounds early, and then hardly depend on the state. In one run each on
+  switching-physical it did not help to take a larger reward, a lower learning rate, the library's defaults, a critic
+  per player (`iddpg`), or ReLU for the tanh of the networks. The cause is not established.
 - Seconds are the mean wall time of a training on one core that other work shared, and in brackets its processor time.
 
 ![Learning curves](marl.png)

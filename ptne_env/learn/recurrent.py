@@ -134,8 +134,9 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
         each neighbour that a player copies, (D, n, M).
     """
     xp = array_namespace(seen.gradient)
-    held = _held(Seen(*map(without_gradient, seen)), memory)
-    scale, slots, components, players = _features(layout, Seen(*map(without_gradient, seen)), memory, held)
+    watched = Seen(*map(without_gradient, seen))
+    held = _held(watched, memory)
+    scale, slots, components, players = _features(layout, watched, memory, held)
     hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
     slot_inputs = [
         _linear(weights["slot_in"][gate], slots)

@@ -69,3 +69,13 @@ def test_a_run_learns_and_goes_on_after_an_interruption(tmp_path):
     again = load(out / "policy.npz")
     assert again.training == policy.training
     assert any((again.weights[name] != policy.weights[name]).any() for name in again.weights)
+
+
+def test_weights_move_once_every_world_had_its_turn(tmp_path):
+    track = through_world.Track("energy", SCENARIO, "")
+    for updates, moves in ((1, False), (2, True)):
+        settings = dataclasses.replace(SHORT, updates=updates)
+        through_world.train(settings, tmp_path / f"{updates}", tracks=(track, track))
+        start = recurrent.initial_weights(np.random.default_rng(SHORT.seed), 4, 3)
+        trained = load(tmp_path / f"{updates}" / "policy.npz").weights
+        assert any((trained[name] != start[name]).any() for name in start) == moves
