@@ -15,16 +15,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from paper.claims import CLAIMS, Claim
+from paper.errata import ERRATA
+from paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
+from paper.figures import FIGURES, draw
+from paper.table import TableRow, table_one
+
 from ptne_env import __version__
-from ptne_env.bench.report.figures import FIGURES, draw
 from ptne_env.bench.report.tables import Cell, Column, Table, text_table
 from ptne_env.bench.report.terminal import show
 from ptne_env.cli.console import console, progress
 from ptne_env.shared.files import write_atomically
-from ptne_env.theory.paper.claims import CLAIMS, Claim
-from ptne_env.theory.paper.errata import ERRATA
-from ptne_env.theory.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
-from ptne_env.theory.paper.table import TableRow, table_one
 
 RESULTS_FILE = "results.json"
 

@@ -3,10 +3,12 @@
 import csv
 import json
 import random
-import sys
-from pathlib import Path
 
+import marl
+import publish
 import pytest
+import ranking
+import tune
 from scipy import stats
 
 from ptne_env import CATALOGUE
@@ -14,12 +16,6 @@ from ptne_env.bench import Runner, get_suite
 from ptne_env.evaluation import ENTERED, POLICIES, EpisodeSet
 from ptne_env.evaluation.jobs import Job
 from ptne_env.evaluation.tracks import compared_tracks
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "baselines"))
-import marl
-import publish
-import ranking
-import tune
 
 EPISODES = 20
 """The first of the published episodes, at most."""

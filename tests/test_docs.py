@@ -142,10 +142,11 @@ def test_links_and_named_tests_exist(document):
 
 
 def exists(file, name):
-    """Whether a file of the package exists and, if it is given, ``name`` is in that module."""
-    if not (PACKAGE / file).is_file():
+    """Whether a file of the package or of ``baselines/paper`` exists and, if given, ``name`` is in that module."""
+    package = "" if file.startswith("paper/") else f"{PACKAGE.name}/"
+    if not ((PACKAGE if package else ROOT / "baselines") / file).is_file():
         return False
-    owner = importlib.import_module(".".join((PACKAGE / file).relative_to(ROOT).with_suffix("").parts))
+    owner = importlib.import_module(f"{package}{file}".removesuffix(".py").replace("/", "."))
     *parents, last = name.split(".") if name else [None]
     for parent in parents:
         owner = getattr(owner, parent, None)

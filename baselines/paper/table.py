@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from paper.experiments import DEADLINE, GAIN, KAPPA, Experiments
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.theory import closed_loop_matrix
-from ptne_env.theory.paper.experiments import DEADLINE, GAIN, KAPPA, Experiments
 from ptne_env.world.graphs import Graph
 
 PLAIN = {"Gadjov–Pavel": (1.0, 21.0), "Corollary 1": (10.0, 13.0)}

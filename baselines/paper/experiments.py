@@ -6,10 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
+from paper.continuous import Run, exact_static, plain_timeline, prescribed_timeline, simulate
 from ptne_env.games import EnergyGame, Game, NonQuadraticGame
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.theory import MonotonicityConstants, closed_loop_matrix, gain_bound, monotonicity_constants
-from ptne_env.theory.paper.continuous import Run, exact_static, plain_timeline, prescribed_timeline, simulate
 from ptne_env.world.clock import Exponential, TimeTransformation
 from ptne_env.world.graphs import cycle
 from ptne_env.world.starts import PaperStart

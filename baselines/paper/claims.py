@@ -13,10 +13,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy import integrate, linalg
 
+from paper.continuous import Run, prescribed_timeline, simulate
+from paper.experiments import DEADLINE, GAIN, KAPPA, Experiments
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.theory import LemmaViolationError, check_time_transformation, closed_loop_matrix, spectral_abscissa
-from ptne_env.theory.paper.continuous import Run, prescribed_timeline, simulate
-from ptne_env.theory.paper.experiments import DEADLINE, GAIN, KAPPA, Experiments
 from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational
 from ptne_env.world.graphs import complete, cycle, path, star
 from ptne_env.world.switching import TopologyClock, paper_topology

@@ -9,13 +9,13 @@ from itertools import pairwise
 import networkx as nx
 import numpy as np
 
+from paper.claims import VANISHED, Check, Claim, decided, near_deadline
+from paper.continuous import Run, exact_static, plain_timeline, simulate
+from paper.experiments import DEADLINE, GAIN, GAMMA, KAPPA, Experiments
+from paper.table import labelled_graphs, misfits
 from ptne_env.games import AffineGame, NonQuadraticGame
 from ptne_env.theory import closed_loop_matrix, monotonicity_constants, spectral_abscissa
 from ptne_env.theory.check_game import check_game
-from ptne_env.theory.paper.claims import VANISHED, Check, Claim, decided, near_deadline
-from ptne_env.theory.paper.continuous import Run, exact_static, plain_timeline, simulate
-from ptne_env.theory.paper.experiments import DEADLINE, GAIN, GAMMA, KAPPA, Experiments
-from ptne_env.theory.paper.table import labelled_graphs, misfits
 from ptne_env.world.graphs import cycle, from_networkx, path
 
 

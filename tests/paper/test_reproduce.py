@@ -2,10 +2,9 @@ import json
 import xml.etree.ElementTree as ET
 
 import pytest
+from paper import Claim, TableRow
+from paper.figures import FIGURES, draw
 from reproduce import CHECKS, Reproduction, paper_tables, reproduce
-
-from ptne_env.bench.report.figures import FIGURES, draw
-from ptne_env.theory.paper import Claim, TableRow
 
 
 def test_every_figure_is_written(reproduction):

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from paper.experiments import DEADLINE, GAIN, GAMMA
 from proof import proof_matrix
 
 from ptne_env.theory.constants import jacobian_at_equilibrium
-from ptne_env.theory.paper.experiments import DEADLINE, GAIN, GAMMA
 from ptne_env.world.graphs import cycle
 
 KAPPA = 100.0

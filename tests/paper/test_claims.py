@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paper import Experiments, table_one
+from paper import claims as claims_module
+from paper.claims import VANISHED, lemma_1, proposition_1, theorem_1, theorem_3
+from paper.table import labelled_graphs, misfits
 
 from ptne_env.games import NonQuadraticGame
-from ptne_env.theory.paper import Experiments, table_one
-from ptne_env.theory.paper import claims as claims_module
-from ptne_env.theory.paper.claims import VANISHED, lemma_1, proposition_1, theorem_1, theorem_3
-from ptne_env.theory.paper.table import labelled_graphs, misfits
 from ptne_env.world.clock import Exponential
 from ptne_env.world.graphs import Graph, cycle, path
 from ptne_env.world.switching import fixed, paper_topology

@@ -1,12 +1,6 @@
-import sys
-from pathlib import Path
-
 import pytest
-
-from ptne_env.theory.paper import Experiments
-
-sys.path.insert(0, str(Path(__file__).parents[3] / "baselines"))
 import reproduce
+from paper import Experiments
 
 
 @pytest.fixture(scope="session")
