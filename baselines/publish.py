@@ -133,9 +133,9 @@ def by_track(found: Published, suite: str, policies: Sequence[str]) -> str:
 
 
 def best_law(found: Published, suite: str, track: str) -> tuple[str, Row]:
-    """The best policy of a track that is no network and sees what players see, and its digits."""
+    """The best law of a track, and its digits."""
     metric = "score" if track == ALL else "digits"
-    laws = [name for name in found.names("policy", suite) if not (POLICIES[name].files or POLICIES[name].is_oracle)]
+    laws = [name for name in found.names("policy", suite) if POLICIES[name].is_law]
     cells = {name: found.cell(suite, track, name, metric) for name in laws}
     rows = {name: cell for name, cell in cells.items() if cell is not None}
     return max(rows.items(), key=lambda item: float(item[1]["mean"]))

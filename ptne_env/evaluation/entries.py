@@ -23,6 +23,9 @@ PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], P
 ARCHIVE = "ptne_env.learn.archive:load_archive"
 """Target of the policies in Stable-Baselines3 archives. It is no part: loading one executes code in the file."""
 
+NO_LAWS = ("zero-input", "random")
+"""Policies that seek nothing."""
+
 _ENDINGS = (".onnx", ".npz")
 """Endings of files that are data."""
 
@@ -85,6 +88,11 @@ class PolicySpec:
     def is_oracle(self) -> bool:
         """Whether it uses information that players lack."""
         return self.interface.kind == "full"
+
+    @property
+    def is_law(self) -> bool:
+        """Whether it is a law of :data:`POLICIES`: no network, no oracle, and none that seeks nothing."""
+        return self.name in POLICIES and not (self.files or self.is_oracle or self.name in NO_LAWS)
 
     @property
     def is_repeatable(self) -> bool:

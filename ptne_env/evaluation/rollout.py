@@ -18,7 +18,7 @@ from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ptne_env.shared.names import unknown_name
 from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import State
-from ptne_env.world.rewards import REWARD_LIMIT
+from ptne_env.world.rewards import REWARD_LIMIT, limited, measured
 from ptne_env.world.world import World
 
 REGRET_INTERVALS = 20
@@ -55,12 +55,10 @@ class Rollout:
 
 def at_instant(world: World, state: State) -> dict[str, FloatArray]:
     """The series of every instant: relative distances of strategies and estimates, and the mean digits of players."""
-    players = _limited(state, distances.player_distances(state.estimates, state.game))
+    players, strategies = measured(state), distances.strategy_distance(dynamics.strategies(world, state), state.game)
     return {
-        "strategy_distance": _limited(
-            state, distances.strategy_distance(dynamics.strategies(world, state), state.game)
-        ),
-        "estimate_distance": np.sqrt(ordered_sum(players**2) / len(players)),
+        "strategy_distance": limited(state, strategies),
+        "estimate_distance": distances.over_players(players),
         "mean_digits": ordered_sum(distances.digits(players)) / len(players),
     }
 
@@ -96,13 +94,6 @@ def in_step(world: World, state: State, inputs: FloatArray, step: int) -> dict[s
         "saturated": (magnitudes >= limit).sum(axis=(0, 1)),
         "components": acting * magnitudes[..., 0].size,
     }
-
-
-def _limited(state: State, distance: FloatArray) -> FloatArray:
-    """``distance`` (..., B) with the range limit where an episode has diverged."""
-    if not state.any_diverged:
-        return distance
-    return np.where(state.diverged, dynamics.distance_limit(state.game), distance)
 
 
 class Member:

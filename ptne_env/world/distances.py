@@ -43,7 +43,7 @@ def strategy_distance(strategies: FloatArray, game: Game) -> FloatArray:
 
 def estimate_distance(estimates: FloatArray, game: Game) -> FloatArray:
     """‖𝐱 − 1⊗x*‖/(√N ‖x*‖), the quantity of the theorems: (n, N, B) to (B,)."""
-    return _over_players(player_distances(estimates, game))
+    return over_players(player_distances(estimates, game))
 
 
 def succeeded(distances: FloatArray) -> BoolArray:
@@ -54,11 +54,11 @@ def succeeded(distances: FloatArray) -> BoolArray:
         return _FAILED
     within: BoolArray = distances[0] <= reach
     if np.count_nonzero(within):
-        within[within] = _over_players(distances[:, within]) <= SUCCESS_DISTANCE
+        within[within] = over_players(distances[:, within]) <= SUCCESS_DISTANCE
     return within
 
 
-def _over_players(distances: FloatArray) -> FloatArray:
+def over_players(distances: FloatArray) -> FloatArray:
     """The distance of all estimates, from the d^i: (N, B) to (B,)."""
     return root(ordered_sum(distances**2) / len(distances))
 

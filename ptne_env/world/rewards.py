@@ -113,10 +113,14 @@ class Reward:
 
 def measured(state: State) -> FloatArray:
     """d^i, shape (N, B), with the limit where an environment has diverged."""
-    distance = distances.player_distances(state.estimates, state.game)
-    if state.any_diverged:
-        distance = array_namespace(distance).where(state.diverged, dynamics.distance_limit(state.game), distance)
-    return distance
+    return limited(state, distances.player_distances(state.estimates, state.game))
+
+
+def limited(state: State, distance: FloatArray) -> FloatArray:
+    """A relative distance (..., B), with the limit where an environment has diverged."""
+    if not state.any_diverged:
+        return distance
+    return array_namespace(distance).where(state.diverged, dynamics.distance_limit(state.game), distance)
 
 
 def worst(name: str, game: Game) -> FloatArray | float:

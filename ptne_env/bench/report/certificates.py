@@ -14,11 +14,7 @@ _SHOWN_DIFFERENCES = 10
 
 
 def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:
-    """The paper's assumptions with the number that decides each, and the predictions.
-
-    Args:
-        certificate: of :func:`~ptne_env.theory.certify`.
-    """
+    """The paper's assumptions with the number that decides each, and the predictions."""
     assumptions = text_table(
         f"{certificate.scenario}: what the paper assumes",
         "",
@@ -48,11 +44,7 @@ def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:
 
 
 def verification_tables(verified: Verification) -> tuple[Table, Table]:
-    """Whether the tables of results follow from their samples, and the jobs that were run again.
-
-    Args:
-        verified: of :func:`~ptne_env.bench.verification.verify`.
-    """
+    """Whether the tables of results follow from their samples, and the jobs that were run again."""
     shown = [("differs", text) for text in verified.differences[:_SHOWN_DIFFERENCES]]
     if (hidden := len(verified.differences) - _SHOWN_DIFFERENCES) > 0:
         shown.append(("differs", f"{hidden} more numbers or texts"))

@@ -32,8 +32,7 @@ class Part:
         text: a paragraph below the heading.
         tables: below the text.
         scene: name of the scene of the page whose errors a chart shows.
-        picture: an SVG file.
-        caption: of the chart or the picture.
+        caption: of the chart.
         facts: names and values.
         has_player: whether the player of the page stands here.
         is_folded: whether a click on the heading shows the rest.
@@ -43,7 +42,6 @@ class Part:
     text: str = ""
     tables: tuple[Table, ...] = ()
     scene: str = ""
-    picture: bytes = b""
     caption: str = ""
     facts: tuple[tuple[str, str], ...] = ()
     has_player: bool = False
@@ -94,7 +92,6 @@ class Page:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        environment.filters["base64"] = lambda data: b64encode(data).decode("ascii")
         made = environment.get_template("page.html").render(
             page=self, packed=packed, light=LIGHT, dark=DARK, colours=COLOURS, policies=policies
         )

@@ -143,9 +143,7 @@ class Renderer:
             each.annotate("T", *at, ha="right", va="top")
         x, y = self._places
         for i, j in self.world.topology.union.edges:
-            graph.plot(
-                x[[i, j]], y[[i, j]], color=FAINT, linestyle=":", linewidth=min(1.5, 15 / game.num_players), zorder=1
-            )
+            graph.plot(x[[i, j]], y[[i, j]], color=FAINT, linestyle=":", linewidth=1.5 * self._thinness, zorder=1)
         graph.set(aspect="equal", xlim=(-1.4, 1.4), ylim=(-1.15, 1.15))
         graph.set_title("live links")
         graph.axis("off")
@@ -166,7 +164,7 @@ class Renderer:
         x, y = self._places
         mode = int(dynamics.active_mode(self.world, self._states[-1])[0])
         for i, j in self.world.topology.graphs[mode].edges:
-            moving += graph.plot(x[[i, j]], y[[i, j]], color=INK, linewidth=min(2.5, 25 / players), zorder=1)
+            moving += graph.plot(x[[i, j]], y[[i, j]], color=INK, linewidth=2.5 * self._thinness, zorder=1)
         size = min(16.0, 220 / players)  # of a node, in points, so that neighbours on the circle do not touch
         ring: dict[str, Any] = {"edgecolor": [_colour(player) for player in range(players)], "zorder": 2}
         moving += [graph.scatter(x, y, s=size**2, color="white", linewidth=min(1.8, size / 4), **ring)]
@@ -180,6 +178,11 @@ class Renderer:
     @property
     def _is_crowded(self) -> bool:
         return self.world.game.dimension * self.world.game.num_players > _MOST_LINES
+
+    @property
+    def _thinness(self) -> float:
+        """Factor of the widths of links, which shrink with the number of players."""
+        return min(1.0, 10 / self.world.game.num_players)
 
     @property
     def _places(self) -> tuple[FloatArray, FloatArray]:

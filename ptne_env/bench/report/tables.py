@@ -15,9 +15,6 @@ from ptne_env.evaluation.results import Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
 
-NO_LAWS = ("zero-input", "random")
-"""Shipped policies that seek nothing, so that none is the best law."""
-
 FIRST_MARGIN = 0.1
 """A policy whose interval comes within this many digits of the best mean of a track shares the first place there."""
 
@@ -139,9 +136,6 @@ def answer_table(results: Results) -> Table:
 
     The last rows are the means of digits, the score of a suite, and of the mean regrets over all scored tracks. In a
     comparison only policies that play all of them have one.
-
-    Args:
-        results: of a comparison or of another suite.
     """
     tracks, means = [track.name for track in results.tracks], overall(results)
     score = f"mean of {len(tracks)}" if results.is_comparison else "score"
@@ -170,11 +164,7 @@ def answer_table(results: Results) -> Table:
 
 
 def regret_table(results: Results) -> Table:
-    """The mean regret on every track: a row per track and a column per policy, in the order of :func:`ordered`.
-
-    Args:
-        results: of a comparison or of another suite.
-    """
+    """The mean regret on every track: a row per track and a column per policy, in the order of :func:`ordered`."""
     tracks = [track.name for track in results.tracks]
     columns = (
         Column(
@@ -188,11 +178,7 @@ def regret_table(results: Results) -> Table:
 
 
 def answer(results: Results) -> tuple[str, ...]:
-    """One or two sentences: which policy is closest to the equilibrium, and how far the paper's law is behind.
-
-    Args:
-        results: of a comparison or of another suite.
-    """
+    """One or two sentences: which policy is closest to the equilibrium, and how far the paper's law is behind."""
     firsts = first_places(results)
     tracks = [track.name for track in results.tracks if track.scored] or [track.name for track in results.tracks]
     if not any(firsts.values()):
@@ -261,7 +247,7 @@ def leaders(results: Results) -> dict[str, str]:
     names = [name for name in _best_first(results) if not specs[name].is_oracle]
     kinds = {
         "the paper's law": [name for name in names if name == LAW],
-        "the best law": [name for name in names if name in POLICIES and not (specs[name].files or name in NO_LAWS)],
+        "the best law": [name for name in names if specs[name].is_law],
         "the best learned policy": [name for name in names if specs[name].files],
         "yours": [name for name in names if name not in POLICIES],
     }
@@ -300,12 +286,7 @@ def overall(results: Results) -> dict[str, tuple[Summary, Summary]]:
 
 
 def track_tables(results: Results, track: Track) -> list[Table]:
-    """A track: a table per block of metrics. Metrics without any value, and policies without one, are left out.
-
-    Args:
-        results: of a comparison or of another suite.
-        track: one of its tracks.
-    """
+    """A track: a table per block of metrics. Metrics without any value, and policies without one, are left out."""
     names = [name for name in ordered(results) if (track.name, name) in results.samples]
     blocks: dict[str, list[Column]] = {}
     for metric in METRICS.values():
@@ -331,11 +312,7 @@ def _without_values(results: Results, track: str) -> tuple[str, ...]:
 
 
 def leaderboard_table(results: Results) -> Table | None:
-    """The scores of the policies of a suite over all tracks; ``None`` for a comparison, which has none.
-
-    Args:
-        results: of a comparison or of another suite.
-    """
+    """The scores of the policies of a suite over all tracks; ``None`` for a comparison, which has none."""
     board = leaderboard(results)
     if board is None:
         return None

@@ -29,19 +29,11 @@ class NetworkedCournot(AffineGame):
         markets = np.array([market for row in _LINKS for market in row])
         dims = [len(row) for row in _LINKS]
         curvatures, costs, capacities = (np.repeat(values, dims) for values in _FIRMS)
-        self.deliveries = frozen(markets == np.arange(prices.size)[:, None])
-        self._price, self._slope = frozen(prices[markets][:, None]), frozen(slopes[markets][:, None])
-        self._curvature, self._marginal = frozen(curvatures[:, None]), frozen(costs[:, None])
-        shared = self.deliveries.T @ np.diag(slopes) @ self.deliveries
+        deliveries = markets == np.arange(prices.size)[:, None]
+        shared = deliveries.T @ np.diag(slopes) @ deliveries
         super().__init__(
             np.diag(curvatures + slopes[markets]) + shared, costs - prices[markets], dims, low=0.0, high=capacities
         )
-
-    def costs(self, strategies: FloatArray) -> FloatArray:
-        """J_i(x): (n, B) to (N, B)."""
-        same_market = self.deliveries.T @ self.deliveries
-        price = self._price - self._slope * times(same_market[:, :, None], strategies)
-        return self.summed((self._curvature * strategies / 2 + self._marginal - price) * strategies)
 
 
 class Oligopoly(AffineGame):

@@ -39,7 +39,7 @@ def yardsticks(scenario: Scenario, episodes: int = 20) -> Results:
         scenario: of the training.
         episodes: of each law.
     """
-    laws = [name for name in COMPARED if not (POLICIES[name].files or POLICIES[name].is_oracle)]
+    laws = [name for name in COMPARED if POLICIES[name].is_law]
     return evaluate(laws, [scenario], episodes=episodes, split="validation")
 
 
