@@ -19,8 +19,6 @@ from ptne_env.cli.console import STDOUT, check_writable, console, progress, say,
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
 from ptne_env.evaluation.run import EPISODES
 from ptne_env.shared.files import write_atomically
-from ptne_env.shared.names import unknown_name
-from ptne_env.world.catalogue import CATALOGUE
 
 SUITE = "ptne-v1"
 """The suite that is run where neither a suite nor a scenario is named."""
@@ -184,7 +182,5 @@ def _results(
     for name in places:
         if name in POLICIES:
             raise ValueError(f"{name!r} is a policy, no scenario: write --policy {name}")
-        if name not in CATALOGUE and ":" not in name:
-            raise ValueError(unknown_name("scenario", name, world_names()))
     scenarios = [options.changed(name, changes, trust=trust) for name in places]
     return evaluate(policies or COMPARED, scenarios, episodes=episodes or EPISODES, seed=seed, run=run)

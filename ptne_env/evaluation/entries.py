@@ -15,7 +15,7 @@ from ptne_env.perception.policy import Policy, PolicyError, describe
 from ptne_env.shared.arrays import require_flag, require_printable
 from ptne_env.shared.files import require_file
 from ptne_env.shared.names import unknown_name
-from ptne_env.shared.parts import LOADER, FactorySpec, foreign_targets
+from ptne_env.shared.parts import LOADER, FactorySpec, foreign_targets, resolve
 
 PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
 """A factory spec or a callable that builds the policy from a layout, or the policy itself."""
@@ -187,7 +187,7 @@ def _declared_interface(source: PolicySource) -> Interface | None:
     """The interface that a policy declares, as a class, as an object or in its file."""
     found: Any = source
     if isinstance(source, FactorySpec):
-        found = source.build() if source.target in _LIBRARIES else source.resolve()
+        found = source.build() if source.target in _LIBRARIES else resolve(source.target)
     declared: Any = getattr(found, "interface", None)
     is_kind = isinstance(declared, str)
     return Interface(declared) if is_kind else declared

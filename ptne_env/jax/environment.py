@@ -45,6 +45,7 @@ class World:
         dtype: of observations. With float64 digits are differentiated to full precision; players see float32.
         pool: number of games, schedules of graphs and starts that numpy draws beforehand, where JAX cannot; a reset
             chooses among them.
+        **changes: fields of the scenario to change.
 
     Attributes:
         numpy: the world that this one is the twin of.
@@ -58,14 +59,15 @@ class World:
 
     def __init__(
         self,
-        scenario: str | Scenario,
+        scenario: str | Scenario = "energy",
         *,
         interface: InterfaceKind | Interface = "scaled",
         dtype: Any = jnp.float32,
         pool: int = 4096,
+        **changes: Any,
     ) -> None:
         require_x64()
-        self.numpy, self.dtype = NumpyWorld(get_scenario(scenario)), dtype
+        self.numpy, self.dtype = NumpyWorld(get_scenario(scenario, **changes)), dtype
         interface = interface if isinstance(interface, Interface) else Interface(interface)
         self._encoder = make_encoder(self.numpy, interface)
         self.layout = self._encoder.layout
@@ -277,12 +279,5 @@ def _streams(count: int) -> list[RandomStreams]:
     return [RandomStreams.from_seed(seed) for seed in range(count)]
 
 
-def world(
-    scenario: str | Scenario = "energy", *, interface: InterfaceKind | Interface = "scaled", **changes: Any
-) -> World:
-    """The world of a scenario of the catalogue, or of a scenario, with some fields changed: a :class:`World`.
-
-    >>> world("random-energy-switching", steps=200, interface="physical")
-    """
-    own = {name: changes.pop(name) for name in ("dtype", "pool") if name in changes}
-    return World(get_scenario(scenario, **changes), interface=interface, **own)
+world = World
+"""The name for calls, ``world("random-energy-switching", steps=200)``."""

@@ -308,7 +308,7 @@ class FactorySpec:
         """A spec takes a target in a notebook along, which workers cannot import: cloudpickle sends it by value."""
         if self.target.partition(":")[0] != _MAIN:
             return FactorySpec, (self.target, self.arguments)
-        return _arrived, (self.target, self.arguments, self.resolve())
+        return _arrived, (self.target, self.arguments, resolve(self.target))
 
     def nested(self) -> Iterator[FactorySpec]:
         """This spec, and the specs among its arguments at any depth."""
@@ -321,21 +321,13 @@ class FactorySpec:
             elif isinstance(value, tuple):
                 pending.extend(value)
 
-    def resolve(self) -> Any:
-        """Import the target without calling it.
-
-        Raises:
-            ValueError: as :func:`resolve`.
-        """
-        return resolve(self.target)
-
     def build(self, /, **extra: Any) -> Any:
         """Import the target and call it with the arguments and with ``extra`` ones of the caller.
 
         Raises:
             ValueError: when the target cannot be imported or refuses the arguments.
         """
-        target = self.resolve()
+        target = resolve(self.target)
         arguments = {name: _mapped(value, FactorySpec.build) for name, value in self.arguments}
         try:
             return target(**arguments, **extra)

@@ -25,7 +25,6 @@ from ptne_env.theory.closed_loop import (
     distance,
     gain_growth,
     sampled_loop,
-    start_error,
 )
 from ptne_env.theory.conditions import Condition, condition, problem_constants
 from ptne_env.world import distances
@@ -189,7 +188,7 @@ class _Prediction:
         self.is_linear = game.is_affine and not game.has_bounds and not law.has_memory
         self.path = np.zeros((0, 0))  # **x** − 1⊗x* at every instant, shape (K+1, Nn)
         if self.is_linear:
-            self.path = loop.errors(start_error(estimates, game))
+            self.path = loop.errors((estimates.T - game.nash_equilibrium).ravel())
 
     @property
     def rate(self) -> float | None:

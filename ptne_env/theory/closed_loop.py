@@ -326,12 +326,6 @@ def _is_constant(responses: FloatArray) -> bool:
     return bool(np.ptp(responses, axis=0).max() <= 1e-9 * (1 + np.abs(responses).max()))
 
 
-def start_error(estimates: FloatArray, game: Game) -> FloatArray:
-    """**x** − 1⊗x* of estimates (n, N) or (n, N, B) in player-major order, shape (Nn,) or (Nn, B)."""
-    errors = (estimates.T - game.nash_equilibrium).T.swapaxes(0, 1)
-    return errors.reshape(-1, *errors.shape[2:])
-
-
 def distance(errors: FloatArray, game: Game) -> FloatArray:
     """‖**x** − 1⊗x*‖/(√N ‖x*‖) of errors (..., Nn), shape (...)."""
     return np.linalg.norm(errors, axis=-1) / (math.sqrt(game.num_players) * float(game.equilibrium_scale[0]))

@@ -97,7 +97,7 @@ def test_arguments_that_json_cannot_hold_are_refused():
 def test_every_id_names_an_object_whose_spec_has_the_id(name):
     kind, _, _ = name.partition(":")
     assert kind in {*PART_FIELDS, "law", "policy", "renderer"}
-    made = FactorySpec.of(name).resolve()
+    made = resolve(name)
     assert FactorySpec.of(PARTS[name]).target == name
     assert FactorySpec.of(made).target == name
 
