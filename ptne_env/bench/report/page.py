@@ -99,8 +99,8 @@ class Page:
 
 
 def _packed(content: Any) -> str:
-    """A text, or something else as JSON, as gzip in base64: the browser unpacks it when it is shown."""
-    text = content if isinstance(content, str) else json.dumps(content, ensure_ascii=False, separators=(",", ":"))
+    """JSON as gzip in base64: the browser unpacks it when it is shown."""
+    text = json.dumps(content, ensure_ascii=False, separators=(",", ":"))
     return b64encode(compress(text.encode(), mtime=0)).decode("ascii")
 
 
