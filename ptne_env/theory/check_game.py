@@ -1,4 +1,4 @@
-"""Checks of a game's gradients and of Assumptions 3 and 4 of the paper, on sampled points."""
+"""Checks of a game's gradients and of Assumption 3 of the paper, on sampled points."""
 
 from __future__ import annotations
 
@@ -24,14 +24,11 @@ class GameReport:
         strictly_convex: per player, whether every sampled chord of J_i in its own strategy lies above J_i.
         radially_unbounded: per player, whether J_i grew along every sampled ray of its own strategy; true where the box
             is bounded, as a minimiser exists then.
-        epsilon: the smallest (F(x) − F(y))ᵀ (x − y)/‖x − y‖² over pairs of sampled points, far and near: an upper bound
-            of the constant ε of strong monotonicity. F is not monotone where it is negative.
     """
 
     gradient_error: float
     strictly_convex: tuple[bool, ...]
     radially_unbounded: tuple[bool, ...]
-    epsilon: float
 
     @property
     def gradients_agree(self) -> bool:
@@ -45,9 +42,10 @@ class GameReport:
 
 
 def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int = 0) -> GameReport:
-    """Compare own-gradients with numerical differentiation; test convexity and growth of each J_i in x_i, slopes of F.
+    """Compare own-gradients with numerical differentiation; test convexity and growth of each J_i in x_i.
 
-    Sampling can refute an assumption but not prove it. All samples lie in the game's box.
+    Sampling can refute an assumption but not prove it. All samples lie in the game's box. For Assumption 4 see
+    :func:`~ptne_env.theory.monotonicity_constants`.
 
     Args:
         game: the game to check.
@@ -76,7 +74,7 @@ def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int 
         direction /= np.linalg.norm(direction, axis=0)
         convex.append(_strictly_convex(game, points, player, block, direction))
         unbounded.append(_radially_unbounded(game, points, player, block, direction))
-    return GameReport(error, tuple(convex), tuple(unbounded), _slope(game, points))
+    return GameReport(error, tuple(convex), tuple(unbounded))
 
 
 def _require_shape(
@@ -90,17 +88,6 @@ def _require_shape(
         raise ValueError(f"{rule}; it raised {type(error).__name__}: {error}") from error
     if found != expected:
         raise ValueError(f"{rule}; it returned the shape {found}")
-
-
-def _slope(game: Game, points: FloatArray) -> float:
-    """The smallest slope of F between each point and others on the way to the next point, the nearest at 1e-3."""
-    towards = np.roll(points, 1, axis=1) - points
-    moves = [share * towards for share in (1e-3, 0.1, 1.0)]
-    field = game.pseudo_gradient(points)
-    return min(
-        float(np.min(np.sum((game.pseudo_gradient(points + move) - field) * move, axis=0) / np.sum(move**2, axis=0)))
-        for move in moves
-    )
 
 
 def _points(game: Game, radius: float, drawn: FloatArray) -> FloatArray:

@@ -53,18 +53,13 @@ class Cell:
     is_text: bool = False
 
     @classmethod
-    def of(cls, quantity: Summary | float | None, write: Callable[[float | None], str] = number) -> Cell:
-        """The cell of a summary, or of a number without an interval; ``None`` where there is none.
-
-        Args:
-            quantity: the summary or the number.
-            write: makes the text of a number.
-        """
+    def of(cls, quantity: Summary | float | None) -> Cell:
+        """The cell of a summary, or of a number without an interval; ``None`` where there is none."""
         summary = quantity if isinstance(quantity, Summary) else Summary(quantity, quantity, quantity)
         if summary.mean is None:
             return cls()
-        low, high = write(summary.low), write(summary.high)
-        return cls(write(summary.mean), summary.mean, "" if low == high else f"[{low}, {high}]")
+        low, high = number(summary.low), number(summary.high)
+        return cls(number(summary.mean), summary.mean, "" if low == high else f"[{low}, {high}]")
 
     @classmethod
     def plus_minus(cls, summary: Summary | None) -> Cell:

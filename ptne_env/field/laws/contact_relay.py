@@ -74,7 +74,6 @@ class Own(NamedTuple):
     held: BoolArray  # own components that a bound holds, shape (R, m)
     radius: FloatArray  # of the trust region, shape (R, 1)
     error: FloatArray  # of the last prediction of the own gradient, shape (R, 1)
-    failed: BoolArray  # whether it failed, shape (R, 1)
     is_probe: BoolArray  # whether the own components move one after the other, in the first m steps, shape (R, 1)
     turn: BoolArray  # the own components that move in this step, shape (R, m)
     is_fixed: BoolArray  # whether no link of the player ever broke, shape (R, 1)
@@ -121,7 +120,7 @@ def own_side(
     held = (np.abs(own_moved) < _HELD * asked) & (asked > _RESOLVED * scale)
     is_probe = steps < outputs
     turn = ~is_probe | (np.arange(outputs) == steps)
-    return Own(model, gradient, blocks, moved, held, radius, error, failed, is_probe, turn, broke == 0)
+    return Own(model, gradient, blocks, moved, held, radius, error, is_probe, turn, broke == 0)
 
 
 def _first_spread(gradient: FloatArray, scale: FloatArray) -> FloatArray:

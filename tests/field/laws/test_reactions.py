@@ -30,7 +30,6 @@ def own_side(row, gradient=1.0):
         held=flags,
         radius=numbers(UNLIMITED),
         error=numbers(0),
-        failed=flags,
         is_probe=flags,
         turn=~flags,
         is_fixed=~flags,
