@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,14 +36,19 @@ class Repetition:
     """A job that was run again.
 
     Attributes:
-        job: the job.
-        difference: the largest |new − old|/(1 + |old|) of any value; infinite where one run has none.
+        track: name.
+        policy: name.
+        training_seed: index.
+        difference: the largest |new − old|/(1 + |old|) of any value; ``None`` where one run has a value that the other
+            has not.
         agrees: whether it repeats; on another arithmetic, whether the 95 % intervals of all metrics overlap.
         reason: why the new run has no numbers; ``None`` where it has.
     """
 
-    job: Job
-    difference: float
+    track: str
+    policy: str
+    training_seed: int
+    difference: float | None
     agrees: bool
     reason: str | None = None
 
@@ -215,19 +221,19 @@ def _chosen(results: Results, sample: int, generator: np.random.Generator) -> tu
 def _repeat(results: Results, job: Job, *, same_arithmetic: bool) -> Repetition:
     """Run a job again."""
     place, new = (job.track.name, job.policy.name), job.compute(thorough=True)
+    repetition = partial(Repetition, *place, job.training_seed, reason=new.not_applicable or new.failure)
     if place in results.not_applicable:
-        return Repetition(job, 0.0, new.not_applicable is not None, new.not_applicable)
-    if place in results.failures and len(job.policy.training_seeds) == 1:
-        return Repetition(job, 0.0, new.failure is not None, new.failure)
-    if place in results.failures or not new.samples:  # of several training seeds, another one may have failed
-        agrees = place in results.failures
-        return Repetition(job, 0.0 if agrees else np.inf, agrees, new.failure or new.not_applicable)
+        return repetition(difference=0.0, agrees=new.not_applicable is not None)
+    if place in results.failures:  # of several training seeds, another one may have failed
+        return repetition(difference=0.0, agrees=new.failure is not None or len(job.policy.training_seeds) > 1)
+    if not new.samples:
+        return repetition(difference=None, agrees=False)
     old = {name: values[job.training_seed] for name, values in results.samples.get(place, {}).items()}
     difference = _difference(old, new)
     if same_arithmetic:
-        return Repetition(job, difference, difference <= ROUNDING)
+        return repetition(difference=difference, agrees=difference is not None and difference <= ROUNDING)
     agrees = all(_overlap(old[name], new.samples[name]) for name in _repeated(old))
-    return Repetition(job, difference, agrees and old.keys() == new.samples.keys())
+    return repetition(difference=difference, agrees=agrees and old.keys() == new.samples.keys())
 
 
 def _repeated(samples: Mapping[str, FloatArray]) -> list[str]:
@@ -235,13 +241,13 @@ def _repeated(samples: Mapping[str, FloatArray]) -> list[str]:
     return [name for name in samples if name in METRICS and not METRICS[name].is_timing]
 
 
-def _difference(old: Mapping[str, FloatArray], new: JobResult) -> float:
-    """The largest |new − old|/(1 + |old|); infinite where one has a value and the other has none."""
+def _difference(old: Mapping[str, FloatArray], new: JobResult) -> float | None:
+    """The largest |new − old|/(1 + |old|); ``None`` where one has a value and the other has none."""
     largest = 0.0
     for name in _repeated(old):
         mine, theirs = new.samples.get(name), old[name]
         if mine is None or mine.shape != theirs.shape or (np.isnan(mine) != np.isnan(theirs)).any():
-            return np.inf
+            return None
         largest = max(largest, float(np.nanmax(np.abs(mine - theirs) / (1 + np.abs(theirs)), initial=0.0)))
     return largest
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -40,17 +40,7 @@ def verify(
         outcome = run_verification(
             results, sample=sample, trust=trust, progress=lambda job, total: advance(total=total, description=job)
         )
-    rows = [
-        {
-            "track": repetition.job.track.name,
-            "policy": repetition.job.policy.name,
-            "training_seed": repetition.job.training_seed,
-            "difference": repetition.difference if isfinite(repetition.difference) else None,
-            "reason": repetition.reason,
-            "agrees": repetition.agrees,
-        }
-        for repetition in outcome.repetitions
-    ]
+    rows = [asdict(repetition) for repetition in outcome.repetitions]
     found = {"differences": outcome.differences, "jobs": rows, "of": outcome.jobs}
     write_json(json, json_text({**found, "same_arithmetic": outcome.same_arithmetic}))
     screen = console()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -11,7 +11,7 @@ from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.rollout import Member
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.arrays import require_count, require_flag, require_printable
-from ptne_env.shared.parts import FactorySpec, resolve
+from ptne_env.shared.parts import FactorySpec, foreign_targets, resolve
 from ptne_env.world.catalogue import get_scenario
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
@@ -89,9 +89,7 @@ class Track:
     @property
     def world(self) -> World:
         """The scenario's world, built once per process; again where a notebook defined a part of it again."""
-        parts = (getattr(self.scenario, field.name) for field in fields(self.scenario))
-        nested = (each for part in parts if isinstance(part, FactorySpec) for each in part.nested())
-        return _world(self.scenario, tuple(resolve(each.target) for each in nested))
+        return _world(self.scenario, tuple(map(resolve, foreign_targets(self.scenario.to_dict()))))
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object."""

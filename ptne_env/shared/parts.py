@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import FunctionType
 from typing import Any, Self
@@ -309,17 +309,6 @@ class FactorySpec:
         if self.target.partition(":")[0] != _MAIN:
             return FactorySpec, (self.target, self.arguments)
         return _arrived, (self.target, self.arguments, resolve(self.target))
-
-    def nested(self) -> Iterator[FactorySpec]:
-        """This spec, and the specs among its arguments at any depth."""
-        pending: list[Any] = [self]
-        while pending:
-            value = pending.pop()
-            if isinstance(value, FactorySpec):
-                yield value
-                pending.extend(argument for _, argument in value.arguments)
-            elif isinstance(value, tuple):
-                pending.extend(value)
 
     def build(self, /, **extra: Any) -> Any:
         """Import the target and call it with the arguments and with ``extra`` ones of the caller.

@@ -38,10 +38,10 @@ def test_honest_results_pass_with_two_jobs_of_every_entry_and_one_of_references(
     assert outcome.differences == ()
     assert outcome.jobs == 2 * 6
     assert {repetition.difference for repetition in outcome.repetitions} == {0.0}
-    names = [repetition.job.policy.name for repetition in outcome.repetitions]
+    names = [repetition.policy for repetition in outcome.repetitions]
     expected = {"grounded": 2, "ppo-random-energy": 2, "mine": 2, "zero-input": 1, "static": 1, "oracle": 1}
     assert {name: names.count(name) for name in names} == expected
-    choices = {tuple(one.job.track.name for one in verify(written(), sample=1).repetitions) for _ in range(4)}
+    choices = {tuple(one.track for one in verify(written(), sample=1).repetitions) for _ in range(4)}
     assert len(choices) > 1
 
 
@@ -59,7 +59,7 @@ def test_numbers_of_another_policy_are_found_by_running_jobs_again(written):
     outcome = verify(written(swap))
     assert outcome.differences == ()
     assert not outcome.passes
-    assert {one.job.policy.name for one in outcome.repetitions if not one.agrees} == {"grounded"}
+    assert {one.policy for one in outcome.repetitions if not one.agrees} == {"grounded"}
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_a_failure_or_a_refusal_that_does_not_repeat_is_reported(written, kind, 
 
     outcome = verify(written(change))
     assert outcome.differences == ()
-    assert {one.job.policy.name for one in outcome.repetitions if not one.agrees} == {"grounded"}
+    assert {one.policy for one in outcome.repetitions if not one.agrees} == {"grounded"}
 
 
 def test_a_published_suite_has_its_own_tracks_episodes_and_references(tmp_path, monkeypatch):
@@ -138,7 +138,7 @@ def test_on_another_arithmetic_jobs_are_judged_by_statistics(written, monkeypatc
         swap(data)
 
     outcome = verify(written(forged))
-    assert {one.job.policy.name for one in outcome.repetitions if not one.agrees} == {"grounded"}
+    assert {one.policy for one in outcome.repetitions if not one.agrees} == {"grounded"}
 
 
 def test_policy_files_lie_beside_the_results(tmp_path):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-from ptne_env.bench.report.tables import Cell, Column, Table, text_table
+from ptne_env.bench.report.tables import Table, text_table
 from ptne_env.bench.verification import Repetition, Verification
 from ptne_env.evaluation.metrics import number
 from ptne_env.theory import Certificate
@@ -38,9 +36,9 @@ def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:
     if certificate.largest_step is not None:
         rows[f"largest step {step}, and the largest stable one"] = f"{number(certificate.largest_step)}, {stable}"
     rows["short of the deadline, 1 − t_K/T"] = f"{certificate.shortfall:.3%}"
-    predictions = text_table(f"{certificate.scenario}: {certificate.law}", "prediction", ("value",), rows.items())
     notes = tuple(f"Note: {note}" for note in certificate.notes)
-    return assumptions, Table(predictions.caption, predictions.subject, predictions.rows, predictions.columns, notes)
+    title = f"{certificate.scenario}: {certificate.law}"
+    return assumptions, text_table(title, "prediction", ("value",), rows.items(), notes)
 
 
 def verification_tables(verified: Verification) -> tuple[Table, Table]:
@@ -54,28 +52,19 @@ def verification_tables(verified: Verification) -> tuple[Table, Table]:
         ("verdict", ""),
         ((str(index + 1), *texts) for index, texts in enumerate(shown or [("agree", "every number follows")])),
     )
-    rows = {
-        f"{repetition.job.track.name}: {repetition.job.policy.name}"
-        + f", training seed {repetition.job.training_seed}" * (repetition.job.training_seed > 0): repetition
-        for repetition in verified.repetitions
-    }
-    columns: dict[str, Callable[[Repetition], Cell]] = {
-        "largest difference": lambda repetition: Cell.of(repetition.difference),
-        "verdict": lambda repetition: Cell.words(_verdict(repetition, same_arithmetic=verified.same_arithmetic)),
-    }
-    notes = [f"{name}: {row.reason}" for name, row in rows.items() if row.reason is not None]
-    if not verified.same_arithmetic:
-        notes.append(
-            "Processor, BLAS or libraries are others: rounding differs, and jobs agree where intervals overlap."
+    rows = (
+        (
+            f"{each.track}: {each.policy}" + f", training seed {each.training_seed}" * (each.training_seed > 0),
+            _verdict(each, same_arithmetic=verified.same_arithmetic),
+            number(each.difference),
+            each.reason or "",
         )
-    jobs = Table(
-        f"{len(verified.repetitions)} of {verified.jobs} jobs were run again",
-        "job",
-        tuple(rows),
-        tuple(Column(label, {name: cell(row) for name, row in rows.items()}) for label, cell in columns.items()),
-        tuple(notes),
+        for each in verified.repetitions
     )
-    return rebuilt, jobs
+    title = f"{len(verified.repetitions)} of {verified.jobs} jobs were run again"
+    note = "Processor, BLAS or libraries are others: rounding differs, and jobs agree where intervals overlap."
+    notes = () if verified.same_arithmetic else (note,)
+    return rebuilt, text_table(title, "job", ("verdict", "largest difference", "reason"), rows, notes)
 
 
 def _verdict(repetition: Repetition, *, same_arithmetic: bool) -> str:

@@ -334,7 +334,13 @@ def _marked(results: Results, name: str) -> str:
     return f"{name} *" if results.policies[name].is_oracle else name
 
 
-def text_table(caption: str, subject: str, headings: Iterable[str], rows: Iterable[tuple[str, ...]]) -> Table:
+def text_table(
+    caption: str,
+    subject: str,
+    headings: Iterable[str],
+    rows: Iterable[tuple[str, ...]],
+    notes: tuple[str, ...] = (),
+) -> Table:
     """A table of words: every row is its name and a text per heading.
 
     Args:
@@ -342,10 +348,11 @@ def text_table(caption: str, subject: str, headings: Iterable[str], rows: Iterab
         subject: heading of the names.
         headings: of the other columns.
         rows: the name, which no other row has, and the texts.
+        notes: sentences below the table.
     """
     found = {name: texts for name, *texts in rows}
     columns = (
         Column(heading, {name: Cell.words(texts[index]) for name, texts in found.items()})
         for index, heading in enumerate(headings)
     )
-    return Table(caption, subject, tuple(found), tuple(columns))
+    return Table(caption, subject, tuple(found), tuple(columns), notes)

@@ -25,7 +25,6 @@ from ptne_env.bench.report.tables import (
 from ptne_env.bench.report.terminal import answer_tables, result_tables, show
 from ptne_env.bench.verification import Repetition, Verification
 from ptne_env.evaluation import METRICS, get_policy_spec
-from ptne_env.evaluation.jobs import Job
 from ptne_env.evaluation.metrics import number
 from ptne_env.evaluation.statistics import Summary
 
@@ -149,19 +148,18 @@ def test_the_leaderboard_has_the_scores_of_a_suite_alone(suite, comparison):
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_the_table_of_a_verification_shows_every_verdict(suite, width):
-    track, spec = suite.tracks[0], next(iter(suite.policies.values()))
-    jobs = [Job(track, replace(spec, name=f"policy-{index}"), 0, suite.episode_sets[track.name]) for index in range(3)]
+def test_the_table_of_a_verification_shows_every_verdict(width):
     repetitions = (
-        Repetition(jobs[0], 0.0, agrees=True),
-        Repetition(jobs[1], 0.1, agrees=False),
-        Repetition(jobs[2], np.inf, agrees=False, reason="step 0: no number"),
+        Repetition("ring", "policy-0", 0, 0.0, agrees=True),
+        Repetition("ring", "policy-1", 0, 0.1, agrees=False),
+        Repetition("ring", "policy-1", 1, None, agrees=False, reason="step 0: no number"),
     )
     found = Verification(tuple(map(str, range(12))), repetitions, 7, same_arithmetic=False)
     rebuilt, table = verification_tables(found)
-    verdicts = [table.columns[-1][row].text for row in table.rows]
+    verdicts, _, reasons = ([column[row].text for row in table.rows] for column in table.columns)
     assert len(set(verdicts)) == 3
-    assert len(table.notes) == 2
+    assert reasons == ["", "", "step 0: no number"]
+    assert len(table.notes) == 1
     texts = [tuple(column[row].text for column in rebuilt.columns) for row in rebuilt.rows]
     assert texts[-1] == ("differs", "2 more numbers or texts")
     written(show(table, width), width)
