@@ -31,6 +31,7 @@ from importlib import import_module
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import joblib
@@ -59,6 +60,7 @@ LIBRARIES = {
 
 PACKAGES = {"benchmarl": "benchmarl", "stable_baselines3": "stable-baselines3", "sb3_contrib": "sb3-contrib"}
 OFF_POLICY = ("iddpg", "maddpg", "isac", "masac", "sac")
+DETERMINISTIC = ("iddpg", "maddpg")
 
 ENVS, ROLLOUT, UNIT = 32, 64, 30_720
 """Environments stepped together and their steps in a rollout, of tuned settings. Agent-steps are multiples of a unit,
@@ -91,8 +93,17 @@ CHOICES: Mapping[str, tuple[float, ...]] = {
 }
 """What a further trial draws from, the same for every algorithm; each uses the entries that it knows."""
 
+SLOWER = 0.1
+"""The learning rate of a deterministic actor, times that of its critic, as in the paper of DDPG."""
+
 ENOUGH_TRIALS, FLAT = 20, 0.1
 """With fewer trials, or when the last fifth of its curve gains more digits, a result is unfinished."""
+
+CLOSE = 0.1
+"""A trial with so many fewer digits than the best is as good: its one run and few games tell no more."""
+
+FAILED = -10.0
+"""Digits of a trial that failed, fewer than any that can be played."""
 
 TUNING_SEED = 1000
 """Seed of the trials, none of which is in the table."""
@@ -165,6 +176,7 @@ def reward_of(job: Job) -> dict[str, float]:
 def train_benchmarl(job: Job, folder: Path, report: Report) -> None:
     """Train one of BenchMARL's algorithms, from its last checkpoint on."""
     os.environ["TQDM_DISABLE"] = "1"
+    import torch
     from benchmarl import algorithms
     from benchmarl.experiment import Callback, Experiment, ExperimentConfig
     from benchmarl.models.mlp import MlpConfig
@@ -199,6 +211,10 @@ def train_benchmarl(job: Job, folder: Path, report: Report) -> None:
         own = {"lmbda": s["trace"], "scale_mapping": f"biased_softplus_{s['spread']}", "alpha_init": s["entropy"]}
         for name in own.keys() & vars(algorithm).keys():
             setattr(algorithm, name, own[name])
+        if job.algorithm in DETERMINISTIC:  # else the actions go to their bounds for good, as the page tells
+            model.activation_class = torch.nn.ReLU
+            algorithm.share_param_critic = job.algorithm == "iddpg"  # else all players of maddpg have the same value
+            changes["exploration_eps_end"] = s["spread"]
     frames = job.steps // PLAYERS
     changes |= {"max_n_frames": frames, "off_policy_memory_size": frames, "evaluation": False, "loggers": []}
     changes |= {"create_json": False, "save_folder": str(folder), "keep_checkpoints_num": 1}
@@ -211,6 +227,9 @@ def train_benchmarl(job: Job, folder: Path, report: Report) -> None:
     task = NashSeekingTask(job.track, {"scenario": scenario, "reward": reward_of(job)})
     experiment, reporter = Experiment(task, algorithm, model, seed=1000 * job.seed, config=config), Reporter()
     reporter.experiment = experiment
+    if job.trial != DEFAULT and job.algorithm in DETERMINISTIC:
+        for optimizers in experiment.optimizers.values():
+            optimizers["loss_actor"].param_groups[0]["lr"] *= SLOWER
     experiment.callbacks.append(reporter)  # an argument would be pickled, which a class in a function cannot be
     experiment.run()
 
@@ -273,7 +292,7 @@ def run(job: Job, out: Path) -> str:
         point = {"step_count": done, "digits": digits(job.track, policy, "validation")}
         kept["points"] = [each for each in kept["points"] if each["step_count"] < done] + [point]
         kept["seconds"], kept["cpu"] = kept["seconds"] + now[0] - began[0], kept["cpu"] + now[1] - began[1]
-        if done >= job.steps:
+        if done >= job.steps and job.seed != TUNING_SEED:
             kept["test"] = digits(job.track, policy, "test")
         write_atomically(progress, json.dumps(kept))
         began[:] = [time.monotonic(), time.process_time()]
@@ -282,12 +301,16 @@ def run(job: Job, out: Path) -> str:
     try:
         train(job, folder, report)
     except Exception as error:  # noqa: BLE001 - of any library; the other jobs go on
+        if job.seed == TUNING_SEED:  # such as weights that are no longer finite: it counts as tried
+            points = [{"step_count": job.steps, "digits": [FAILED]}]
+            write_atomically(file, json.dumps({**asdict(job), "points": points, "failed": repr(error)}))
         return f"{job.name}: failed: {error!r}"
     package = PACKAGES[LIBRARIES[job.algorithm]]
     made_by = {name: version(name) for name in ("ptne-env", "torch", package)}
     write_atomically(file, json.dumps({**asdict(job), **kept, "versions": made_by}))
     shutil.rmtree(folder)
-    return f"{job.name}: {np.mean(kept['test']):.2f} digits in {kept['seconds']:.0f} s ({kept['cpu']:.0f} s of CPU)"
+    end = np.mean(kept["points"][-1]["digits"])
+    return f"{job.name}: {end:.2f} digits in {kept['seconds']:.0f} s ({kept['cpu']:.0f} s of CPU)"
 
 
 def finished(out: Path) -> dict[Job, dict[str, Any]]:
@@ -297,47 +320,64 @@ def finished(out: Path) -> dict[Job, dict[str, Any]]:
     return {Job(**{name: file[name] for name in fields}): file for file in files}
 
 
-def best_trials(found: Mapping[Job, dict[str, Any]], steps: int) -> dict[str, tuple[int, int]]:
-    """Of each algorithm the trial with the most digits at its end, on the mean of its tracks, and how many it had.
+def ranking(
+    algorithm: str, found: Mapping[Job, dict[str, Any]], tuning: Mapping[str, Any]
+) -> list[dict[int, tuple[float, float]]]:
+    """Of an algorithm's trials the digits and the processor time: after the short run, and of finalists after the long.
 
-    Trials count that have the most tracks. Without any it is trial 0, one of one.
+    They are means over the tracks, the most digits first. Trials count that have all tracks.
     """
-    best = {}
-    for algorithm in LIBRARIES:
-        scores: dict[int, list[float]] = {}
+    stages: list[dict[int, tuple[float, float]]] = []
+    for steps in tuning["steps"]:
+        ends: dict[int, dict[str, tuple[float, float]]] = {}
         for job, file in found.items():
-            if (job.algorithm, job.seed, job.steps) == (algorithm, TUNING_SEED, steps):
-                scores.setdefault(job.trial, []).append(float(np.mean(file["points"][-1]["digits"])))
-        whole = {trial: each for trial, each in scores.items() if len(each) == max(map(len, scores.values()))}
-        best[algorithm] = max(whole, key=lambda trial: float(np.mean(whole[trial])), default=0), max(1, len(whole))
-    return best
+            for point in file["points"]:
+                if (job.algorithm, job.seed, point["step_count"]) == (algorithm, TUNING_SEED, steps):
+                    end = round(float(np.mean(point["digits"])), 4), round(file.get("cpu", 0.0), 1)
+                    ends.setdefault(job.trial, {})[job.track] = end
+        whole = {trial: [*each.values()] for trial, each in ends.items() if each.keys() == set(tuning["tracks"])}
+        means = {trial: (fmean(d for d, _ in each), fmean(s for _, s in each)) for trial, each in whole.items()}
+        allowed = [*stages[0]][: tuning["finalists"]] if stages else means
+        stages.append({trial: means[trial] for trial in sorted(means, key=lambda t: -means[t][0]) if trial in allowed})
+    return stages
 
 
-def collect(found: Mapping[Job, dict[str, Any]], steps: int) -> dict[str, Any]:
+def chosen(finalists: Mapping[int, tuple[float, float]]) -> int:
+    """Of the finalists that are as good as the best, the one that took the least processor time; else trial 0."""
+    equals = [trial for trial, (digits, _) in finalists.items() if digits > next(iter(finalists.values()))[0] - CLOSE]
+    return min(equals, key=lambda trial: finalists[trial][1], default=0)
+
+
+def collect(found: Mapping[Job, dict[str, Any]], steps: int, tuning: Mapping[str, Any]) -> dict[str, Any]:
     """What ``marl.json`` holds.
 
     ``runs`` has the format of marl-eval: environment, task, algorithm, seed, points of the curve, digits of each game;
-    ``absolute_metrics`` are those of the test games. ``costs`` has the trials of each algorithm, and the seconds of its
-    trainings, by the clock and of the processor.
+    ``absolute_metrics`` are those of the test games. ``tuning`` tells how the trials were made. ``costs`` has of each
+    algorithm the digits of its trials after the short run, of the finalists the digits and processor seconds of the
+    long one, the setting chosen, and the seconds of its trainings, by the clock and of the processor.
     """
 
     def order(job: Job) -> tuple[Any, ...]:
         return job.trial == DEFAULT, [*LIBRARIES].index(job.algorithm), job.track, job.seed
 
-    best, tasks, costs = best_trials(found, steps), {}, {}
+    ranked = {algorithm: ranking(algorithm, found, tuning) for algorithm in LIBRARIES}
+    tasks: dict[str, Any] = {}
+    costs: dict[str, Any] = {}
     for job, file in sorted(found.items(), key=lambda item: order(item[0])):
-        if job.steps != steps or job.seed == TUNING_SEED or job.trial not in (DEFAULT, best[job.algorithm][0]):
+        short, long = ranked[job.algorithm]
+        if job.steps != steps or job.seed == TUNING_SEED or job.trial not in (DEFAULT, chosen(long)):
             continue
         is_default = job.trial == DEFAULT
         name = job.algorithm + "-default" * is_default
         points = {f"step_{number}": point for number, point in enumerate(file["points"])}
         runs = tasks.setdefault(job.track, {}).setdefault(name, {})
         runs[f"seed_{job.seed}"] = {**points, "absolute_metrics": {"digits": file["test"]}}
-        trials = 0 if is_default else best[job.algorithm][1]
-        cost = costs.setdefault(name, {"trials": trials, "seconds": [], "cpu_seconds": []})
+        digits = {trial: each for trial, (each, _) in short.items()}
+        tried = {} if is_default else {"trials": digits, "finalists": long, "trial": job.trial, "setting": job.setting}
+        cost = costs.setdefault(name, {**tried, "seconds": [], "cpu_seconds": []})
         cost["seconds"].append(round(file["seconds"]))
         cost["cpu_seconds"].append(round(file["cpu"]))
-    return {"runs": {SUITE.name: tasks}, "costs": costs}
+    return {"runs": {SUITE.name: tasks}, "tuning": tuning, "costs": costs}
 
 
 def interquartile(samples: np.ndarray) -> tuple[float, float, float]:
@@ -387,20 +427,24 @@ def page(data: Mapping[str, Any]) -> str:
             mean, low, high = interquartile(np.array([r["absolute_metrics"]["digits"] for r in found[track].values()]))
             gain = last_fifth(found[track])
             cells.append(f"{mean:.2f} [{low:.2f}, {high:.2f}]" + f", rising {gain:.2f}" * (gain > FLAT))
-        is_done = cost["trials"] >= ENOUGH_TRIALS and not any("rising" in cell for cell in cells)
+        trials = len(cost.get("trials", ()))
+        is_done = trials >= ENOUGH_TRIALS and not any("rising" in cell for cell in cells)
         seeds = sorted({len(each) for each in found.values()})
         seconds, cpu = (round(float(np.mean(cost[key]))) for key in ("seconds", "cpu_seconds"))
-        state = "" if is_done else "unfinished"
-        counts = ["–".join(map(str, dict.fromkeys((seeds[0], seeds[-1])))), str(cost["trials"]), f"{seconds} ({cpu})"]
-        rows.append([name, *cells, *counts, state])
+        tried = f"{trials} ({cost['trial']})" if trials else "–"
+        counts = ["–".join(map(str, dict.fromkeys((seeds[0], seeds[-1])))), tried, f"{seconds} ({cpu})"]
+        rows.append([name, *cells, *counts, "" if is_done else "unfinished"])
     for label, index in (("the paper's law (static)", 0), ("best law", 1)):
         laws = [[*lines(track).items()][index] for track in tasks]
         cells = [f"{value:.2f}" + f" ({name})" * index for name, value in laws]
         rows.append([label, *cells, "", "", "", ""])
     steps = next(curve(runs)[0][-1] for algorithms in tasks.values() for runs in algorithms.values())
-    headings = ["algorithm", *tasks, "seeds", "trials", "seconds (of CPU)", ""]
+    tuning = data["tuning"]
+    marks = {"steps": int(steps), "short": tuning["steps"][0], "long": tuning["steps"][1], "seed": TUNING_SEED}
+    marks |= {"tracks": " and ".join(tuning["tracks"]), "finalists": tuning["finalists"], "games": VALIDATION_GAMES}
+    headings = ["algorithm", *tasks, "seeds", "trials (chosen)", "seconds (of CPU)", ""]
     table = publish.markdown(headings, rows)
-    return TEXT.format(steps=int(steps), table=table, enough=ENOUGH_TRIALS, flat=FLAT, lowest=LOWEST)
+    return TEXT.format(table=table, enough=ENOUGH_TRIALS, flat=FLAT, close=CLOSE, lowest=LOWEST, **marks)
 
 
 TEXT = """# The field's algorithms
@@ -415,16 +459,21 @@ first lines say how to install the libraries. [marl.json](marl.json) holds all r
 
 - A number is the interquartile mean over seeds and the 60 test games, with a 95 % interval by a bootstrap over both;
   with one seed the interval is that of the games alone. The laws' are means over the same games.
-- `rising x`: the last fifth of the learning curve (on 20 validation games) gained x digits, more than {flat}.
-- `trials` counts the settings tried for a row; the best on validation games, of another seed, is shown. Trial 0 is
-  that of [learning.md](../docs/learning.md). A row `-default` has the library's defaults, as they are.
+- `rising x`: the last fifth of the learning curve (on {games} validation games) gained x digits, more than {flat}.
+- `trials (chosen)`: how many settings were tried, and the number of the one that the row shows. Each was trained for
+  {short:,} agent-steps on {tracks}, with seed {seed}, and the {finalists} with the most digits on {games} validation
+  games for {long:,}. Of those within {close} digits of the best of these, the one that took the least processor time
+  was chosen, and trained anew on every track. Trial 0 is the setting of [learning.md](../docs/learning.md); marl.json
+  has the digits of all trials and the values chosen.
 - `unfinished` is every row that has fewer than {enough} trials or is still rising somewhere. It says what these
   algorithms had learned by then, not what they can learn.
 - All players share one network and act from their own observations. The critics of `mappo`, `maddpg` and `masac` see
   those of all players in training. Each policy is trained on the track it plays, on other games.
-- The actions of `maddpg` go to their bounds early, and then hardly depend on the state. In one run each on
-  switching-physical it did not help to take a larger reward, a lower learning rate, the library's defaults, a critic
-  per player (`iddpg`), or ReLU for the tanh of the networks. The cause is not established.
+- `maddpg` departs from the library's defaults as the papers of MADDPG and DDPG have it: a critic for each player
+  (BenchMARL's one critic gives all players the same value, but each has its own reward), ReLU for tanh, a learning rate
+  of the actor that is a tenth of the critic's; and the exploration does not fade. With the defaults (`--algorithms
+  maddpg --settings default`) its digits fall below -3, because its actions go to their bounds at once, and stay there:
+  its critic holds that the same push is good in all states. With the changes it learns too, but later than the others.
 - Seconds are the mean wall time of a training on one core that other work shared, and in brackets its processor time.
 
 ![Learning curves](marl.png)
@@ -478,33 +527,41 @@ def main() -> None:
     parser.add_argument("--algorithms", nargs="+", default=installed, choices=installed)
     parser.add_argument("--settings", nargs="+", default=["tuned"], choices=["tuned", "default"])
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=100 * UNIT, help=f"agent-steps of a job, a multiple of {UNIT}")
-    parser.add_argument("--trials", type=int, default=ENOUGH_TRIALS, help="settings tried; with 1 the first is taken")
+    parser.add_argument("--steps", type=int, default=3 * UNIT, help=f"agent-steps of a job, a multiple of {UNIT}")
+    parser.add_argument("--trials", type=int, default=ENOUGH_TRIALS, help="settings tried; with 0 the first is taken")
+    parser.add_argument("--tuning-steps", nargs=2, type=int, default=(UNIT, 3 * UNIT), help="of all, and of the best")
+    parser.add_argument("--tuning-tracks", nargs="+", default=TRACKS[:1], choices=tracks)
+    parser.add_argument("--finalists", type=int, default=5, help="trials that get the long run")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, default=HOME.parent / "runs" / "marl")
     parser.add_argument("--tables", action="store_true", help="train nothing")
     given = parser.parse_args()
-    if given.steps % UNIT:
-        parser.error(f"--steps must be a multiple of {UNIT}")
+    if any(steps % UNIT for steps in (given.steps, *given.tuning_steps)):
+        parser.error(f"agent-steps must be multiples of {UNIT}")
+    tuning = {"steps": given.tuning_steps, "tracks": given.tuning_tracks, "finalists": given.finalists}
     if not given.tables:
         places = [(track, algorithm) for track in given.tracks for algorithm in given.algorithms]
-        if given.trials > 1 and "tuned" in given.settings:
+        for stage, tuning_steps in enumerate(given.tuning_steps if "tuned" in given.settings else ()):
+            found = finished(given.out)
+            tried = {algorithm: ranking(algorithm, found, tuning)[0] for algorithm in given.algorithms}
             trials = [
-                Job(algorithm, trial, track, TUNING_SEED, given.steps)
-                for trial in range(given.trials)
-                for track, algorithm in places
+                Job(algorithm, trial, track, TUNING_SEED, tuning_steps)
+                for algorithm, ranked in tried.items()
+                for trial in ([*ranked][: given.finalists] if stage else set(range(given.trials)) - ranked.keys())
+                for track in given.tuning_tracks
             ]
             carry_out(trials, given.out, given.jobs)
-        best = best_trials(finished(given.out), given.steps)
+        found = finished(given.out)
+        best = {algorithm: chosen(ranking(algorithm, found, tuning)[1]) for algorithm in given.algorithms}
         jobs = [
-            Job(algorithm, DEFAULT if setting == "default" else best[algorithm][0], track, seed, given.steps)
+            Job(algorithm, DEFAULT if setting == "default" else best[algorithm], track, seed, given.steps)
             for seed in range(given.seeds)
             for setting in given.settings
             for track, algorithm in places
         ]
         carry_out(jobs, given.out, given.jobs)
     if found := finished(given.out):
-        write_atomically(DATA, json.dumps(collect(found, given.steps), separators=(",", ":")) + "\n")
+        write_atomically(DATA, json.dumps(collect(found, given.steps, tuning), separators=(",", ":")) + "\n")
     data = json.loads(DATA.read_text(encoding="utf-8"))
     write_atomically(PAGE, page(data))
     draw(data, PICTURE)

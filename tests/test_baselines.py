@@ -94,6 +94,17 @@ def test_a_stopped_training_of_the_fields_algorithms_goes_on_where_it_stopped(tm
     job = marl.Job("ppo", 0, "short-deadline", 0, 240)
     with pytest.raises(KeyboardInterrupt):
         marl.run(job, tmp_path)
-    assert ["4.00 digits" in marl.run(job, tmp_path), "finished" in marl.run(job, tmp_path)] == [True, True]
+    assert ["3.00 digits" in marl.run(job, tmp_path), "finished" in marl.run(job, tmp_path)] == [True, True]
     points = marl.finished(tmp_path)[job]["points"]
     assert [(point["step_count"], *point["digits"]) for point in points] == [(80, 0), (160, 1), (240, 3)]
+
+
+def test_the_trials_that_lead_after_the_short_run_get_the_long_run_and_the_cheapest_of_equals_is_chosen():
+    ends = {0: {80: 1.0, 240: 9.0}, 1: {80: 3.0, 240: 4.96}, 2: {80: 2.0, 240: 5.0}, 3: {80: marl.FAILED}}
+    found = {}
+    for trial, runs in ends.items():
+        points = [{"step_count": steps, "digits": [digits]} for steps, digits in runs.items()]
+        found[marl.Job("ppo", trial, "short-deadline", marl.TUNING_SEED, max(runs))] = {"points": points, "cpu": trial}
+    tuning = {"tracks": ["short-deadline"], "steps": (80, 240), "finalists": 2}
+    short, long = marl.ranking("ppo", found, tuning)
+    assert ([*short], [*long], marl.chosen(long)) == ([1, 2, 0, 3], [2, 1], 1)
