@@ -108,6 +108,21 @@ WORLDS = (
         steps=150,
         channel=_noisy(0.001),
     ),
+    _world(
+        "ring",
+        12,
+        topology=part("topology:circulant", players=12, offsets=(1,)),
+        gain=6.0,
+        steps=200,
+        channel=_noisy(0.001),
+    ),
+    _world(
+        "steep",
+        6,
+        game=part("game:random-energy", players=6, curvature=(0.1, 20.0), coupling=(0.0, 0.1)),
+        steps=300,
+        channel=_noisy(0.001),
+    ),
 )
 """Like tracks of the suite, with other numbers."""
 

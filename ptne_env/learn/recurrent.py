@@ -33,7 +33,10 @@ Weights = dict[str, Any]
 Memory = dict[str, Any]
 """What players remember: hidden states, and the observation and displacement of the step before; zeros at a start."""
 
-SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS = 8, 7, 12, 3
+VECTORS = 2
+"""Private vectors that each player remembers, in units of strategies; it moves them as it moves its estimate."""
+
+SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS = 8 + VECTORS, 7 + 2 * VECTORS, 12, 4 + 4 * VECTORS
 
 
 class Seen(NamedTuple):
@@ -114,6 +117,8 @@ def initial_memory(weights: Weights, layout: ObservationLayout, players: int, xp
         "moved": (n,),
         "strategy": (n,),
         "held": (n,),
+        "vectors": (VECTORS, n),
+        "log_unit": (n,),
         "log_scale": (),
         "started": (),
     }
@@ -135,8 +140,10 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
     """
     xp = array_namespace(seen.gradient)
     watched = Seen(*map(without_gradient, seen))
-    held = _held(watched, memory)
-    scale, slots, components, players = _features(layout, watched, memory, held)
+    memory = memory | {"log_unit": xp.where(memory["started"] > 0, memory["log_unit"], _first_unit(watched))}
+    held, unit, vectors = _held(watched, memory), xp.exp(memory["log_unit"]), memory["vectors"]
+    watched_memory = {name: without_gradient(value) for name, value in memory.items()}
+    scale, slots, components, players = _features(layout, watched, watched_memory, held)
     hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
     slot_inputs = [
         _linear(weights["slot_in"][gate], slots)
@@ -159,12 +166,17 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
         for gate in range(3)
     ]
     hidden = _gated(inputs, weights["again"], hidden)
-    amplitude, rate, free = _linear(weights["out"], hidden) + weights["out_bias"][:, :, None]
+    output = _linear(weights["out"], hidden) + weights["out_bias"][:, :, None]
+    amplitude, rate, free, change = output[:4]
+    reads, takes, rests, steps = output[4:].reshape(4, VECTORS, *change.shape)
+    heard, gradient = ordered_sum(attention * seen.relative, 0), 0.3 * unit * seen.gradient
     gates = (1 + xp.tanh(amplitude)) * attention
-    step = 0.3 * xp.exp(xp.clip(rate, -7, 3)) * seen.gradient
-    wanted = ordered_sum(gates * seen.relative, 0) - step + 0.1 * free * scale
+    wanted = (1 + xp.tanh(amplitude)) * heard - xp.exp(xp.clip(rate, -7, 3)) * gradient + 0.1 * free * scale
+    wanted = wanted + ordered_sum(8 * xp.tanh(reads / 8) * vectors, 0)
     theta = xp.maximum(seen.clock[2], 1e-9)
     inputs = xp.clip(wanted / theta, -layout.action_bound, layout.action_bound)
+    vectors = vectors + _share(takes - 1) * live.any(0) * (heard - vectors)
+    vectors = (1 - _share(rests - 4)) * vectors - 8 * xp.tanh(steps / 8) * gradient - theta * inputs
     moved = without_gradient(theta * inputs)
     after = {
         "hidden": hidden,
@@ -176,6 +188,8 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
         "moved": moved,
         "strategy": without_gradient(seen.strategy),
         "held": held,
+        "vectors": vectors,
+        "log_unit": xp.clip(memory["log_unit"] + 2 * xp.tanh(change / 2), -60, 60),
         "log_scale": xp.log10(scale),
         "started": xp.ones_like(scale),
     }
@@ -191,13 +205,24 @@ def _held(seen: Seen, memory: Memory) -> Any:
     return xp.where(is_visible, held, memory["held"]).astype(np.float32) * memory["started"]
 
 
+def _first_unit(seen: Seen) -> Any:
+    """The logarithm of a length over the largest gradient, so that nothing depends on the unit of costs; (n, M)."""
+    xp = array_namespace(seen.gradient)
+    far, gradient = xp.abs(seen.relative).max((0, 1)), xp.abs(seen.gradient).max(0)
+    length = xp.where(far > 0, far, xp.abs(seen.strategy).max(0))
+    is_known = (length > 0) & (gradient > 0)
+    first = xp.log(0.3 * xp.where(is_known, length, 1) / xp.where(is_known, gradient, 1))
+    return xp.broadcast_to(xp.where(is_known, first, 0), seen.gradient.shape).astype(np.float32)
+
+
 def _features(layout: ObservationLayout, seen: Seen, memory: Memory, held: Any) -> tuple[Any, Any, Any, Any]:
     """σ_i, shape (M,), and features per slot, (F, D, n, M), component, (F, n, M), and player."""
     xp = array_namespace(seen.gradient)
     live, started = seen.live.astype(np.float32), memory["started"]
     known, links, own = (live * memory["heard"])[:, None], live.sum(0), seen.own
     # At a wall the gradient does not vanish, and is no measure of the distance to the equilibrium.
-    free_gradient, before = seen.gradient * (1 - held), memory["gradient"] * (1 - held)
+    of_cost = xp.exp(memory["log_unit"]) * (1 - held)
+    free_gradient, before = seen.gradient * of_cost, memory["gradient"] * of_cost
     largest = xp.maximum(xp.abs(free_gradient).max(0), xp.abs(seen.relative).max((0, 1)))
     scale = xp.maximum(largest, 1e-30)
     unit = 1 / scale
@@ -209,8 +234,11 @@ def _features(layout: ObservationLayout, seen: Seen, memory: Memory, held: Any) 
     message_range = np.log10(min(layout.message_range, 1e6)).astype(np.float32) - log_scale
     slots = [relative, _magnitude(relative), _soft(change), _magnitude(change) * known]
     slots += [live[:, None], known, seen.leads, seen.own]
+    slots += [_soft((seen.relative - vector) * unit) for vector in memory["vectors"]]
     components = [gradient, _magnitude(gradient) * own, _soft(turn), _magnitude(turn) * own]
     components += [_soft(moved), _magnitude(moved), own]
+    for vector in memory["vectors"]:
+        components += [_soft(vector * unit), _magnitude(vector * unit)]
     players = [log_scale / 10, xp.clip(log_scale - memory["log_scale"], -1, 1) * started]
     players += [seen.clock[0], seen.clock[1] / (layout.largest_clock[1] or 1.0), xp.log10(theta), seen.age]
     players += [links / 4, xp.clip(farthest, -1, 3) / 2, xp.clip(message_range, 0, 12) / 12, started]
@@ -235,6 +263,11 @@ def _soft(array: Any) -> Any:
     return 2 * xp.tanh(xp.clip(array, -20, 20) / 2)
 
 
+def _share(array: Any) -> Any:
+    """The logistic function."""
+    return 0.5 * (1 + array_namespace(array).tanh(array / 2))
+
+
 def _linear(weight: Any, array: Any) -> Any:
     """The product of a matrix with the features of an array (F, ..., M)."""
     if not is_numpy(array):
@@ -249,7 +282,7 @@ def _linear(weight: Any, array: Any) -> Any:
 def _gated(inputs: Sequence[Any], weights: Any, hidden: Any) -> Any:
     """The next hidden state of a gated recurrent unit: what it keeps, what it uses of it, and the new content."""
     xp = array_namespace(hidden)
-    keep, use = (0.5 * (1 + xp.tanh((inputs[k] + _linear(weights[k], hidden)) / 2)) for k in range(2))
+    keep, use = (_share(inputs[k] + _linear(weights[k], hidden)) for k in range(2))
     return keep * hidden + (1 - keep) * xp.tanh(inputs[2] + _linear(weights[2], use * hidden))
 
 

@@ -43,6 +43,9 @@ from ptne_env.world import distances
 POLICY = "policy.npz"
 """Name of the file of the policy."""
 
+BELIEF = 0.7
+"""Share of the first private vector in the loss, until the last quarter of an episode."""
+
 CURVE = "digits"
 """The metric of the learning curve."""
 
@@ -92,12 +95,11 @@ class Lesson:
     Args:
         track: the world; its teammates, if any, follow the paper's static law.
         settings: of the run.
-        optimiser: of optax.
         key: draws the episodes.
     """
 
-    def __init__(self, track: Track, settings: Settings, optimiser: Any, key: Any) -> None:
-        self._settings, self._optimiser = settings, optimiser
+    def __init__(self, track: Track, settings: Settings, key: Any) -> None:
+        self._settings = settings
         self.world = ptne_env.jax.world(track.scenario, interface="physical", pool=256)
         layout = self.world.layout
         self.envs = max(2, round(settings.cells / (layout.num_players * layout.dimension)))
@@ -112,36 +114,35 @@ class Lesson:
         weights = initial_weights(np.random.default_rng(0), settings.hidden, settings.slot_hidden)
         memory = initial_memory(weights, layout, len(self._player), jnp)
         self._carry = self.world.reset(key, self.envs), memory
-        self._update = jax.jit(self._updated, donate_argnums=(2,))
+        self._continue = jax.jit(self._continued, donate_argnums=(1,))
 
-    def update(self, weights: Weights, optimiser: Any) -> tuple[Weights, Any, float]:
-        """Weights and optimiser after an update, and the digits of the episodes that ended, NaN if none did."""
+    def slope(self, weights: Weights) -> tuple[Weights, float]:
+        """The slope of the loss over a window, and the digits of the episodes that ended there, NaN if none did."""
         forced = np.zeros(self.envs, dtype=bool)
         if self._count < self._windows:  # so that episodes are in all phases
             first, last = (each * self.envs // self._windows for each in (self._count, self._count + 1))
             forced[first:last] = self._count > 0
         self._count += 1
         key = jax.random.fold_in(self._key, self._count)
-        weights, optimiser, self._carry, ended = self._update(weights, optimiser, self._carry, key, forced)
-        return weights, optimiser, float(ended)
+        slope, self._carry, ended = self._continue(weights, self._carry, key, forced)
+        return slope, float(ended)
 
     def digits(self) -> float:
         """The mean digits of the episodes that go on."""
         return float(self.world.digits(self._carry[0]).mean())
 
-    def _updated(self, weights: Weights, optimiser: Any, carry: Any, key: Any, forced: Any) -> Any:
+    def _continued(self, weights: Weights, carry: Any, key: Any, forced: Any) -> Any:
         world = self.world
         (_, carry), slope = jax.value_and_grad(self._loss, has_aux=True)(weights, carry)
-        norm = jnp.sqrt(sum(jnp.vdot(leaf, leaf) for leaf in jax.tree.leaves(slope)))
-        slope = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(norm), leaf, 0.0), slope)
-        change, optimiser = self._optimiser.update(slope, optimiser, weights)
+        norm = optax.global_norm(slope)
+        slope = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(norm), leaf / jnp.maximum(norm, 1.0), 0.0), slope)
         state, memory = carry
         over = world.is_over(state)
         ended = jnp.where(over, world.digits(state), 0.0).sum() / over.sum()
         state = world.restarted(key, state._replace(diverged=state.diverged | forced))
         starts = jnp.tile(over | forced, world.layout.num_players)
         memory = jax.tree.map(lambda leaf: jnp.where(starts, 0.0, leaf), memory)
-        return optax.apply_updates(weights, change), optimiser, (state, memory), ended
+        return slope, (state, memory), ended
 
     def _loss(self, weights: Weights, carry: Any) -> Any:
         """The mean over the window of the logarithm of the distance to the equilibrium."""
@@ -164,7 +165,13 @@ class Lesson:
         if state.received is not None:
             messages = self._shrunk(state.received.messages)
             state = state._replace(received=state.received._replace(messages=messages))
-        logarithms = -distances.digits(distances.player_distances(state.estimates, state.game))
+        belief = state.estimates + memory["vectors"][0].reshape(state.estimates.shape)
+        told, held = (
+            -distances.digits(distances.player_distances(each, state.game)) for each in (state.estimates, belief)
+        )
+        left = 1 - (state.step + 1) / world.numpy.clock.total_steps
+        share = BELIEF * jnp.clip((left - 0.05) / 0.2, 0, 1)
+        logarithms = (1 - share) * told + share * held
         return (state, memory), jnp.where(state.diverged | self._stranger, 0.0, logarithms).mean()
 
     def _shrunk(self, array: Any) -> Any:
@@ -213,17 +220,23 @@ def train(
     turns = len(tracks)
     rate = optax.cosine_decay_schedule(settings.rate, max(1, settings.updates // turns), 0.02)
     adam = optax.adam(lambda count: rate(count + resumed_at // turns))
-    optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.MultiSteps(adam, turns))
+    optimiser = optax.MultiSteps(adam, turns)
     memory, curve = optimiser.init(weights), np.zeros((0, 2))
     key = jax.random.fold_in(jax.random.key(settings.seed), resumed_at)
-    lessons = [Lesson(track, settings, optimiser, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
+    lessons = [Lesson(track, settings, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
+
+    @jax.jit
+    def moved(weights: Weights, mean: Weights, slope: Weights, memory: Any, share: float) -> Any:
+        change, memory = optimiser.update(slope, memory, weights)
+        weights = optax.apply_updates(weights, change)
+        return weights, jax.tree.map(lambda old, new: old + share * (new - old), mean, weights), memory
+
     write_record(out / CONFIGURATION, settings)
     for done in range(resumed_at + 1, settings.updates + 1):
         lesson = lessons[done % len(lessons)]
-        weights, memory, digits = lesson.update(weights, memory)
+        slope, digits = lesson.slope(weights)
         # A mean of late weights has up to a digit more than the last ones, above all where many worlds take turns.
-        share = 20 / (done - resumed_at + 19)
-        mean = jax.tree.map(lambda old, new, share=share: old + share * (new - old), mean, weights)
+        weights, mean, memory = moved(weights, mean, slope, memory, 20 / (done - resumed_at + 19))
         steps += lesson.agent_steps
         if math.isfinite(digits):
             curve = np.append(curve, [[steps, digits]], axis=0)
