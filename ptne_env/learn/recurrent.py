@@ -3,7 +3,7 @@
 The network is written once, for numpy, which plays, and for JAX, which trains it
 (:mod:`ptne_env.learn.training.through_world`). Players, components and neighbours share all weights, and neighbours are
 pooled, so one file plays any number of each. It has observations in units of σ_i, memory and generic layers; nothing in
-it estimates, identifies or imitates.
+it estimates, identifies or imitates. Its memory are hidden states, and private vectors in units of strategies.
 
 The last axis of arrays are M players, of all environments. Before it are n components and D neighbour slots, and before
 those the features: (F, D, n, M).
@@ -36,7 +36,7 @@ Memory = dict[str, Any]
 VECTORS = 2
 """Private vectors that each player remembers, in units of strategies; it moves them as it moves its estimate."""
 
-SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS = 8 + VECTORS, 7 + 2 * VECTORS, 12, 4 + 4 * VECTORS
+SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS = 8 + VECTORS, 7 + 2 * VECTORS, 12, 3 + 4 * VECTORS
 
 
 class Seen(NamedTuple):
@@ -81,11 +81,16 @@ def read(layout: ObservationLayout, observations: Any, player: npt.NDArray[np.in
 
 
 def initial_weights(generator: np.random.Generator, hidden: int = 32, slot_hidden: int = 16) -> Weights:
-    """Random weights of a network with some hidden units per component, and per component of each neighbour."""
-    return {
+    """Random weights of a network with some hidden units per component, and per component of each neighbour.
+
+    At first it does not use its private vectors.
+    """
+    weights = {
         name: (generator.normal(size=shape) / math.sqrt(shape[-1]) * (name != "out_bias")).astype(np.float32)
         for name, shape in _shapes(hidden, slot_hidden).items()
     }
+    weights["out"][3:] = 0
+    return weights
 
 
 def _shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
@@ -118,7 +123,7 @@ def initial_memory(weights: Weights, layout: ObservationLayout, players: int, xp
         "strategy": (n,),
         "held": (n,),
         "vectors": (VECTORS, n),
-        "log_unit": (n,),
+        "largest": (2,),
         "log_scale": (),
         "started": (),
     }
@@ -140,10 +145,10 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
     """
     xp = array_namespace(seen.gradient)
     watched = Seen(*map(without_gradient, seen))
-    memory = memory | {"log_unit": xp.where(memory["started"] > 0, memory["log_unit"], _first_unit(watched))}
-    held, unit, vectors = _held(watched, memory), xp.exp(memory["log_unit"]), memory["vectors"]
-    watched_memory = {name: without_gradient(value) for name, value in memory.items()}
-    scale, slots, components, players = _features(layout, watched, watched_memory, held)
+    held, largest, vectors = _held(watched, memory), _largest(watched, memory), memory["vectors"]
+    # Lengths per unit of cost: nothing depends on the unit of costs.
+    unit = 0.3 * xp.where(largest[1] > 0, largest[0] / xp.where(largest[1] > 0, largest[1], 1), 1)
+    scale, slots, components, players = _features(layout, watched, memory, held, unit)
     hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
     slot_inputs = [
         _linear(weights["slot_in"][gate], slots)
@@ -167,8 +172,8 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
     ]
     hidden = _gated(inputs, weights["again"], hidden)
     output = _linear(weights["out"], hidden) + weights["out_bias"][:, :, None]
-    amplitude, rate, free, change = output[:4]
-    reads, takes, rests, steps = output[4:].reshape(4, VECTORS, *change.shape)
+    amplitude, rate, free = output[:3]
+    reads, takes, rests, steps = output[3:].reshape(4, VECTORS, *free.shape)
     heard, gradient = ordered_sum(attention * seen.relative, 0), 0.3 * unit * seen.gradient
     gates = (1 + xp.tanh(amplitude)) * attention
     wanted = (1 + xp.tanh(amplitude)) * heard - xp.exp(xp.clip(rate, -7, 3)) * gradient + 0.1 * free * scale
@@ -189,7 +194,7 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
         "strategy": without_gradient(seen.strategy),
         "held": held,
         "vectors": vectors,
-        "log_unit": xp.clip(memory["log_unit"] + 2 * xp.tanh(change / 2), -60, 60),
+        "largest": largest,
         "log_scale": xp.log10(scale),
         "started": xp.ones_like(scale),
     }
@@ -205,24 +210,23 @@ def _held(seen: Seen, memory: Memory) -> Any:
     return xp.where(is_visible, held, memory["held"]).astype(np.float32) * memory["started"]
 
 
-def _first_unit(seen: Seen) -> Any:
-    """The logarithm of a length over the largest gradient, so that nothing depends on the unit of costs; (n, M)."""
+def _largest(seen: Seen, memory: Memory) -> Any:
+    """The largest difference to a neighbour, or own strategy before there is any, and the largest gradient; (2, M)."""
     xp = array_namespace(seen.gradient)
     far, gradient = xp.abs(seen.relative).max((0, 1)), xp.abs(seen.gradient).max(0)
-    length = xp.where(far > 0, far, xp.abs(seen.strategy).max(0))
-    is_known = (length > 0) & (gradient > 0)
-    first = xp.log(0.3 * xp.where(is_known, length, 1) / xp.where(is_known, gradient, 1))
-    return xp.broadcast_to(xp.where(is_known, first, 0), seen.gradient.shape).astype(np.float32)
+    far = xp.where((far > 0) | (memory["started"] > 0), far, xp.abs(seen.strategy).max(0))
+    return xp.maximum(memory["largest"], xp.stack([far, gradient]))
 
 
-def _features(layout: ObservationLayout, seen: Seen, memory: Memory, held: Any) -> tuple[Any, Any, Any, Any]:
+def _features(
+    layout: ObservationLayout, seen: Seen, memory: Memory, held: Any, of_cost: Any
+) -> tuple[Any, Any, Any, Any]:
     """σ_i, shape (M,), and features per slot, (F, D, n, M), component, (F, n, M), and player."""
     xp = array_namespace(seen.gradient)
     live, started = seen.live.astype(np.float32), memory["started"]
     known, links, own = (live * memory["heard"])[:, None], live.sum(0), seen.own
     # At a wall the gradient does not vanish, and is no measure of the distance to the equilibrium.
-    of_cost = xp.exp(memory["log_unit"]) * (1 - held)
-    free_gradient, before = seen.gradient * of_cost, memory["gradient"] * of_cost
+    free_gradient, before = (gradient * of_cost * (1 - held) for gradient in (seen.gradient, memory["gradient"]))
     largest = xp.maximum(xp.abs(free_gradient).max(0), xp.abs(seen.relative).max((0, 1)))
     scale = xp.maximum(largest, 1e-30)
     unit = 1 / scale
@@ -234,11 +238,11 @@ def _features(layout: ObservationLayout, seen: Seen, memory: Memory, held: Any) 
     message_range = np.log10(min(layout.message_range, 1e6)).astype(np.float32) - log_scale
     slots = [relative, _magnitude(relative), _soft(change), _magnitude(change) * known]
     slots += [live[:, None], known, seen.leads, seen.own]
-    slots += [_soft((seen.relative - vector) * unit) for vector in memory["vectors"]]
+    vectors = without_gradient(memory["vectors"]) * unit
+    slots += [_soft(relative - vector) for vector in vectors]
     components = [gradient, _magnitude(gradient) * own, _soft(turn), _magnitude(turn) * own]
     components += [_soft(moved), _magnitude(moved), own]
-    for vector in memory["vectors"]:
-        components += [_soft(vector * unit), _magnitude(vector * unit)]
+    components += [feature(vector) for vector in vectors for feature in (_soft, _magnitude)]
     players = [log_scale / 10, xp.clip(log_scale - memory["log_scale"], -1, 1) * started]
     players += [seen.clock[0], seen.clock[1] / (layout.largest_clock[1] or 1.0), xp.log10(theta), seen.age]
     players += [links / 4, xp.clip(farthest, -1, 3) / 2, xp.clip(message_range, 0, 12) / 12, started]

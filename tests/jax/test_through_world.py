@@ -41,7 +41,7 @@ def test_the_network_is_the_same_in_numpy_and_jax():
 def test_gradients_are_finite_where_nothing_is_left_to_do():
     """At the equilibrium distances, differences and scales are 0, and their logarithms are not defined."""
     track = through_world.Track("energy", SCENARIO, "")
-    lesson = through_world.Lesson(track, SHORT, through_world.optax.sgd(0.1), jax.random.key(0))
+    lesson = through_world.Lesson(track, SHORT, jax.random.key(0))
     state, memory = lesson._carry
     rest = jax.numpy.broadcast_to(state.game.nash_equilibria[:, None], state.estimates.shape)
     state = state._replace(estimates=rest, own_gradients=0 * state.own_gradients)

@@ -48,6 +48,19 @@ def test_a_player_knows_where_a_wall_of_its_box_holds_it():
     np.testing.assert_array_equal(memory["held"].T, at_a_wall)
 
 
+def test_actions_do_not_depend_on_the_unit_of_costs():
+    env = ptne_env.parallel_env("random-energy-switching", interface="physical")
+    policy, memory, other = opened().with_layout(env.layout), None, None
+    observations, _ = env.reset(seed=0)
+    for _ in range(10):
+        rows = np.stack(list(observations.values()))
+        actions, memory, _ = policy.decide(rows, memory)
+        rows[:, env.layout.slices["own_gradient"]] *= 1000
+        in_cents, other, _ = policy.decide(rows, other)
+        np.testing.assert_allclose(in_cents, actions, rtol=1e-3, atol=1e-4 * np.abs(actions).max())
+        observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
+
+
 def test_a_loaded_policy_has_the_digits_of_its_file_in_every_world(tmp_path):
     (tmp_path / "file.npz").write_bytes(CONTENT)
     specs = [ptne_env.PolicySpec("object", opened()), ptne_env.evaluation.get_policy_spec(str(tmp_path / "file.npz"))]

@@ -145,7 +145,7 @@ class Lesson:
         return slope, (state, memory), ended
 
     def _loss(self, weights: Weights, carry: Any) -> Any:
-        """The mean over the window of the logarithm of the distance to the equilibrium."""
+        """The mean over the window of the logarithms of the distances of estimates and beliefs to the equilibrium."""
         # A gradient computes each step again instead of storing its numbers, which is faster.
         again = jax.checkpoint(lambda carry, _: self._step(weights, carry), prevent_cse=False)
         carry, logarithms = jax.lax.scan(again, carry, length=self._settings.window)
