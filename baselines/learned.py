@@ -63,6 +63,7 @@ def _world(name: str, players: int, *, kappa: float | None = None, **changes: An
 WORLDS = (
     _world("clean", 4, channel="perfect", message_range=None),
     _world("cycle-physical", 6, topology=_cycle(6, 3, 0.09, "physical"), channel=_noisy(0.002)),
+    _world("cycle-of-four", 4, topology=_cycle(4, 2, 0.13, "physical"), channel=_noisy(0.001)),
     _world(
         "edges-transformed",
         6,

@@ -12,6 +12,7 @@ import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -42,9 +43,6 @@ from ptne_env.world import distances
 
 POLICY = "policy.npz"
 """Name of the file of the policy."""
-
-BELIEF = 0.7
-"""Share of the first private vector in the loss, until the last quarter of an episode."""
 
 CURVE = "digits"
 """The metric of the learning curve."""
@@ -134,7 +132,7 @@ class Lesson:
     def _continued(self, weights: Weights, carry: Any, key: Any, forced: Any) -> Any:
         world = self.world
         (_, carry), slope = jax.value_and_grad(self._loss, has_aux=True)(weights, carry)
-        norm = optax.global_norm(slope)
+        norm = jnp.sqrt(sum(jnp.vdot(leaf, leaf) for leaf in jax.tree.leaves(slope)))
         slope = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(norm), leaf / jnp.maximum(norm, 1.0), 0.0), slope)
         state, memory = carry
         over = world.is_over(state)
@@ -145,7 +143,7 @@ class Lesson:
         return slope, (state, memory), ended
 
     def _loss(self, weights: Weights, carry: Any) -> Any:
-        """The mean over the window of the logarithms of the distances of estimates and beliefs to the equilibrium."""
+        """The mean over the window of the logarithm of the distance to the equilibrium."""
         # A gradient computes each step again instead of storing its numbers, which is faster.
         again = jax.checkpoint(lambda carry, _: self._step(weights, carry), prevent_cse=False)
         carry, logarithms = jax.lax.scan(again, carry, length=self._settings.window)
@@ -165,13 +163,7 @@ class Lesson:
         if state.received is not None:
             messages = self._shrunk(state.received.messages)
             state = state._replace(received=state.received._replace(messages=messages))
-        belief = state.estimates + memory["vectors"][0].reshape(state.estimates.shape)
-        told, held = (
-            -distances.digits(distances.player_distances(each, state.game)) for each in (state.estimates, belief)
-        )
-        left = 1 - (state.step + 1) / world.numpy.clock.total_steps
-        share = BELIEF * jnp.clip((left - 0.05) / 0.2, 0, 1)
-        logarithms = (1 - share) * told + share * held
+        logarithms = -distances.digits(distances.player_distances(state.estimates, state.game))
         return (state, memory), jnp.where(state.diverged | self._stranger, 0.0, logarithms).mean()
 
     def _shrunk(self, array: Any) -> Any:
@@ -224,19 +216,12 @@ def train(
     memory, curve = optimiser.init(weights), np.zeros((0, 2))
     key = jax.random.fold_in(jax.random.key(settings.seed), resumed_at)
     lessons = [Lesson(track, settings, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
-
-    @jax.jit
-    def moved(weights: Weights, mean: Weights, slope: Weights, memory: Any, share: float) -> Any:
-        change, memory = optimiser.update(slope, memory, weights)
-        weights = optax.apply_updates(weights, change)
-        return weights, jax.tree.map(lambda old, new: old + share * (new - old), mean, weights), memory
-
     write_record(out / CONFIGURATION, settings)
     for done in range(resumed_at + 1, settings.updates + 1):
         lesson = lessons[done % len(lessons)]
         slope, digits = lesson.slope(weights)
         # A mean of late weights has up to a digit more than the last ones, above all where many worlds take turns.
-        weights, mean, memory = moved(weights, mean, slope, memory, 20 / (done - resumed_at + 19))
+        memory, weights, mean = _moved(optimiser, slope, memory, weights, mean, 20 / (done - resumed_at + 19))
         steps += lesson.agent_steps
         if math.isfinite(digits):
             curve = np.append(curve, [[steps, digits]], axis=0)
@@ -255,6 +240,14 @@ def train(
     summary = Summary(steps, resumed_at, monotonic() - began, _late(curve))
     write_record(out / SUMMARY, summary)
     return summary
+
+
+@partial(jax.jit, static_argnums=0)
+def _moved(optimiser: Any, slope: Weights, memory: Any, weights: Weights, mean: Weights, share: float) -> Any:
+    """The memory of the optimiser, the weights after its step, and their running mean."""
+    change, memory = optimiser.update(slope, memory, weights)
+    weights = optax.apply_updates(weights, change)
+    return memory, weights, jax.tree.map(lambda old, new: old + share * (new - old), mean, weights)
 
 
 def _late(curve: Any) -> float:
