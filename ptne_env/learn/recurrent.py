@@ -3,7 +3,7 @@
 The network is written once, for numpy, which plays, and for JAX, which trains it
 (:mod:`ptne_env.learn.training.through_world`). Players, components and neighbours share all weights, and neighbours are
 pooled, so one file plays any number of each. It has observations in units of σ_i, memory and generic layers; nothing in
-it estimates, identifies or imitates. Its memory are hidden states, and private vectors in units of strategies.
+it estimates, identifies or imitates.
 
 The last axis of arrays are M players, of all environments. Before it are n components and D neighbour slots, and before
 those the features: (F, D, n, M).
@@ -33,10 +33,7 @@ Weights = dict[str, Any]
 Memory = dict[str, Any]
 """What players remember: hidden states, and the observation and displacement of the step before; zeros at a start."""
 
-VECTORS = 2
-"""Private vectors that each player remembers, in units of strategies; it moves them as it moves its estimate."""
-
-SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS = 8 + VECTORS, 7 + 2 * VECTORS, 12, 3 + 4 * VECTORS
+SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS = 8, 7, 12, 3
 
 
 class Seen(NamedTuple):
@@ -81,16 +78,11 @@ def read(layout: ObservationLayout, observations: Any, player: npt.NDArray[np.in
 
 
 def initial_weights(generator: np.random.Generator, hidden: int = 32, slot_hidden: int = 16) -> Weights:
-    """Random weights of a network with some hidden units per component, and per component of each neighbour.
-
-    At first it does not use its private vectors.
-    """
-    weights = {
+    """Random weights of a network with some hidden units per component, and per component of each neighbour."""
+    return {
         name: (generator.normal(size=shape) / math.sqrt(shape[-1]) * (name != "out_bias")).astype(np.float32)
         for name, shape in _shapes(hidden, slot_hidden).items()
     }
-    weights["out"][3:] = 0
-    return weights
 
 
 def _shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
@@ -122,7 +114,6 @@ def initial_memory(weights: Weights, layout: ObservationLayout, players: int, xp
         "moved": (n,),
         "strategy": (n,),
         "held": (n,),
-        "vectors": (VECTORS, n),
         "largest": (2,),
         "log_scale": (),
         "started": (),
@@ -145,9 +136,9 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
     """
     xp = array_namespace(seen.gradient)
     watched = Seen(*map(without_gradient, seen))
-    held, largest, vectors = _held(watched, memory), _largest(watched, memory), memory["vectors"]
+    held, largest = _held(watched, memory), _largest(watched, memory)
     # Lengths per unit of cost: nothing depends on the unit of costs.
-    unit = 0.3 * xp.where(largest[1] > 0, largest[0] / xp.where(largest[1] > 0, largest[1], 1), 1)
+    unit = xp.where(largest[1] > 0, largest[0] / xp.where(largest[1] > 0, largest[1], 1), 1)
     scale, slots, components, players = _features(layout, watched, memory, held, unit)
     hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
     slot_inputs = [
@@ -171,17 +162,12 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
         for gate in range(3)
     ]
     hidden = _gated(inputs, weights["again"], hidden)
-    output = _linear(weights["out"], hidden) + weights["out_bias"][:, :, None]
-    amplitude, rate, free = output[:3]
-    reads, takes, rests, steps = output[3:].reshape(4, VECTORS, *free.shape)
-    heard, gradient = ordered_sum(attention * seen.relative, 0), 0.3 * unit * seen.gradient
+    amplitude, rate, free = _linear(weights["out"], hidden) + weights["out_bias"][:, :, None]
     gates = (1 + xp.tanh(amplitude)) * attention
-    wanted = (1 + xp.tanh(amplitude)) * heard - xp.exp(xp.clip(rate, -7, 3)) * gradient + 0.1 * free * scale
-    wanted = wanted + ordered_sum(8 * xp.tanh(reads / 8) * vectors, 0)
+    step = 0.3 * xp.exp(xp.clip(rate, -7, 3)) * unit * seen.gradient
+    wanted = ordered_sum(gates * seen.relative, 0) - step + 0.1 * free * scale
     theta = xp.maximum(seen.clock[2], 1e-9)
     inputs = xp.clip(wanted / theta, -layout.action_bound, layout.action_bound)
-    vectors = vectors + _share(takes - 1) * live.any(0) * (heard - vectors)
-    vectors = (1 - _share(rests - 4)) * vectors - 8 * xp.tanh(steps / 8) * gradient - theta * inputs
     moved = without_gradient(theta * inputs)
     after = {
         "hidden": hidden,
@@ -193,7 +179,6 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
         "moved": moved,
         "strategy": without_gradient(seen.strategy),
         "held": held,
-        "vectors": vectors,
         "largest": largest,
         "log_scale": xp.log10(scale),
         "started": xp.ones_like(scale),
@@ -238,11 +223,8 @@ def _features(
     message_range = np.log10(min(layout.message_range, 1e6)).astype(np.float32) - log_scale
     slots = [relative, _magnitude(relative), _soft(change), _magnitude(change) * known]
     slots += [live[:, None], known, seen.leads, seen.own]
-    vectors = without_gradient(memory["vectors"]) * unit
-    slots += [_soft(relative - vector) for vector in vectors]
     components = [gradient, _magnitude(gradient) * own, _soft(turn), _magnitude(turn) * own]
     components += [_soft(moved), _magnitude(moved), own]
-    components += [feature(vector) for vector in vectors for feature in (_soft, _magnitude)]
     players = [log_scale / 10, xp.clip(log_scale - memory["log_scale"], -1, 1) * started]
     players += [seen.clock[0], seen.clock[1] / (layout.largest_clock[1] or 1.0), xp.log10(theta), seen.age]
     players += [links / 4, xp.clip(farthest, -1, 3) / 2, xp.clip(message_range, 0, 12) / 12, started]
@@ -267,11 +249,6 @@ def _soft(array: Any) -> Any:
     return 2 * xp.tanh(xp.clip(array, -20, 20) / 2)
 
 
-def _share(array: Any) -> Any:
-    """The logistic function."""
-    return 0.5 * (1 + array_namespace(array).tanh(array / 2))
-
-
 def _linear(weight: Any, array: Any) -> Any:
     """The product of a matrix with the features of an array (F, ..., M)."""
     if not is_numpy(array):
@@ -286,7 +263,7 @@ def _linear(weight: Any, array: Any) -> Any:
 def _gated(inputs: Sequence[Any], weights: Any, hidden: Any) -> Any:
     """The next hidden state of a gated recurrent unit: what it keeps, what it uses of it, and the new content."""
     xp = array_namespace(hidden)
-    keep, use = (_share(inputs[k] + _linear(weights[k], hidden)) for k in range(2))
+    keep, use = (0.5 * (1 + xp.tanh((inputs[k] + _linear(weights[k], hidden)) / 2)) for k in range(2))
     return keep * hidden + (1 - keep) * xp.tanh(inputs[2] + _linear(weights[2], use * hidden))
 
 
