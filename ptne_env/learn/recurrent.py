@@ -77,12 +77,23 @@ def read(layout: ObservationLayout, observations: Any, player: npt.NDArray[np.in
     )
 
 
-def initial_weights(generator: np.random.Generator, hidden: int = 32, slot_hidden: int = 16) -> Weights:
-    """Random weights of a network with some hidden units per component, and per component of each neighbour."""
-    return {
+def initial_weights(
+    generator: np.random.Generator,
+    hidden: int = 32,
+    slot_hidden: int = 16,
+    knows_costs: bool = True,  # noqa: FBT001, FBT002 - by name
+) -> Weights:
+    """Random weights of a network with some hidden units per component, and per component of each neighbour.
+
+    A network that knows costs has learned their unit from its worlds. Actions of another do not depend on that unit:
+    it counts the largest gradient so far as the largest difference so far.
+    """
+    weights = {
         name: (generator.normal(size=shape) / math.sqrt(shape[-1]) * (name != "out_bias")).astype(np.float32)
         for name, shape in _shapes(hidden, slot_hidden).items()
+        if name != "knows_costs"
     }
+    return weights | {"knows_costs": np.full(1, knows_costs, dtype=np.float32)}
 
 
 def _shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
@@ -99,6 +110,7 @@ def _shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
         "gate": (1, slot_hidden),
         "out": (OUTPUTS, hidden),
         "out_bias": (OUTPUTS, 1),
+        "knows_costs": (1,),
     }
 
 
@@ -137,8 +149,8 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
     xp = array_namespace(seen.gradient)
     watched = Seen(*map(without_gradient, seen))
     held, largest = _held(watched, memory), _largest(watched, memory)
-    # Lengths per unit of cost: nothing depends on the unit of costs.
-    unit = xp.where(largest[1] > 0, largest[0] / xp.where(largest[1] > 0, largest[1], 1), 1)
+    is_given = (without_gradient(weights["knows_costs"]) > 0) | (largest.min(0) == 0)
+    unit = xp.where(is_given, 1, largest[0] / xp.where(largest[1] > 0, largest[1], 1)).astype(np.float32)
     scale, slots, components, players = _features(layout, watched, memory, held, unit)
     hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
     slot_inputs = [

@@ -48,9 +48,10 @@ def test_a_player_knows_where_a_wall_of_its_box_holds_it():
     np.testing.assert_array_equal(memory["held"].T, at_a_wall)
 
 
-def test_actions_do_not_depend_on_the_unit_of_costs():
+def test_actions_of_a_network_that_does_not_know_costs_do_not_depend_on_their_unit():
     env = ptne_env.parallel_env("random-energy-switching", interface="physical")
     policy, memory, other = opened().with_layout(env.layout), None, None
+    policy.weights = WEIGHTS | {"knows_costs": np.zeros(1, dtype=np.float32)}
     observations, _ = env.reset(seed=0)
     for _ in range(10):
         rows = np.stack(list(observations.values()))
@@ -59,6 +60,8 @@ def test_actions_do_not_depend_on_the_unit_of_costs():
         in_cents, other, _ = policy.decide(rows, other)
         np.testing.assert_allclose(in_cents, actions, rtol=1e-3, atol=1e-4 * np.abs(actions).max())
         observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
+    agreed, _ = env.reset(options={"estimates": np.zeros((5, 5))})
+    assert policy.decide(np.stack(list(agreed.values())))[0].any()  # though there is no length to compare with
 
 
 def test_a_loaded_policy_has_the_digits_of_its_file_in_every_world(tmp_path):

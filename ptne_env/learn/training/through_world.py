@@ -62,6 +62,7 @@ class Settings:
         hidden: units of the network per component.
         slot_hidden: units per component of each neighbour.
         seed: of weights and episodes.
+        knows_costs: whether it learns the unit of costs; otherwise its actions do not depend on that unit.
         start: file or name of a recurrent policy, from whose weights it starts; from random ones if empty.
 
     Raises:
@@ -77,6 +78,7 @@ class Settings:
     hidden: int = 32
     slot_hidden: int = 16
     seed: int = 0
+    knows_costs: bool = True
     start: str = ""
 
     def __post_init__(self) -> None:
@@ -197,12 +199,13 @@ def train(
     jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
     began = saved = monotonic()
     tracks = tracks or [Track(settings.scenario, find_scenario(settings.scenario), "")]
-    weights = initial_weights(np.random.default_rng(settings.seed), settings.hidden, settings.slot_hidden)
+    generator = np.random.default_rng(settings.seed)
+    weights = initial_weights(generator, settings.hidden, settings.slot_hidden, settings.knows_costs)
     if settings.start:
         start = load(settings.start)
         if not isinstance(start, RecurrentPolicy):
             raise ValueError(f"{settings.start} has no memory: a run starts from the weights of a recurrent policy")
-        weights = start.weights
+        weights = start.weights | {"knows_costs": weights["knows_costs"]}
     resumed_at = steps = 0
     if (out / POLICY).exists():
         before = opened(out / POLICY, (out / POLICY).read_bytes())
