@@ -270,8 +270,9 @@ is in its other weights, for five players.
 
 Trained in worlds of which none is of a suite, with at most 12 players, with one training seed, for 104 minutes on one
 core: for 40 in 23 worlds, for 27 in 19 of them, and for 37 in 22, from then on without a unit of costs. The recipe has
-the settings of the last run, and goes on from the file that ships by then. The same network plays every track. Of the standard algorithms, `ppo` was
-trained on `nominal` for 5,000,000 agent-steps, and the others on the track itself for 92,160 ([marl.md](marl.md)).
+the settings of the last run, and goes on from the file that ships by then. The same network plays every track. Of the
+standard algorithms, `ppo` was trained on `nominal` for 5,000,000 agent-steps, and the others on the track itself for
+92,160 ([marl.md](marl.md)).
 
 {1}
 
