@@ -79,3 +79,14 @@ def test_weights_move_once_every_world_had_its_turn(tmp_path):
         start = recurrent.initial_weights(np.random.default_rng(SHORT.seed), 4, 3)
         trained = load(tmp_path / f"{updates}" / "policy.npz").weights
         assert any((trained[name] != start[name]).any() for name in start) == moves
+
+
+def test_a_run_that_gets_worse_keeps_its_best_weights(tmp_path, monkeypatch):
+    start = recurrent.initial_weights(np.random.default_rng(SHORT.seed), 4, 3)
+    downwards, moves = jax.tree.map(jax.numpy.ones_like, start), []
+    for name, digits in (("rises", range(40)), ("falls", [*range(20), *range(0, -20, -1)])):
+        following = iter(digits)
+        monkeypatch.setattr(through_world.Lesson, "slope", lambda *_, of=following: (downwards, float(next(of))))
+        through_world.train(dataclasses.replace(SHORT, updates=40), tmp_path / name)
+        moves.append(float((start["gate"] - load(tmp_path / name / "policy.npz").weights["gate"]).mean()))
+    assert moves[0] > 1.2 * moves[1] > 0
