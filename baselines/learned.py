@@ -245,14 +245,14 @@ def table(out: Path) -> None:
         scored = [track.name for track in get_suite("ptne-v1").tracks if track.scored]
         return {track: mean("ptne-v1", track, policy) / law("ptne-v1", track)[0] for track in scored}
 
-    ours, theirs, worlds = ratios(shipped), ratios("observer-relay"), published.names("track", "robustness")
-    leads = [track for track, ratio in ours.items() if ratio > 1]
+    shares, uncoded, worlds = ratios(shipped), ratios("observer-relay"), published.names("track", "robustness")
+    leads = [track for track, share in shares.items() if share > 1]
     worse = [world for world in worlds if mean("robustness", world, shipped) < mean("robustness", world, "static")]
     parts.append(
-        f"- It leads every law on {len(leads)} of {len(ours)} scored tracks: {', '.join(leads)}.\n"
-        f"- Mean over scored tracks of its digits over those of the best law: {np.mean([*ours.values()]):.2f}; of\n"
-        f"  `observer-relay`, the strongest law that does not code, {np.mean([*theirs.values()]):.2f}.\n"
-        f"- 50 players, after training with at most 12: {ours['crowd-50']:.2f} of the digits of the best law.\n"
+        f"- It leads every law on {len(leads)} of {len(shares)} scored tracks: {', '.join(leads)}.\n"
+        f"- Mean over scored tracks of its digits over those of the best law: {np.mean([*shares.values()]):.2f}; of\n"
+        f"  `observer-relay`, the strongest law that does not code, {np.mean([*uncoded.values()]):.2f}.\n"
+        f"- 50 players, after training with at most 12: {shares['crowd-50']:.2f} of the digits of the best law.\n"
         f"- Worse than the paper's law on {len(worse)} of {len(worlds)} worlds of the suite robustness"
         f"{': ' * bool(worse)}{', '.join(worse)}."
     )
@@ -276,8 +276,8 @@ is in its other weights, for five players.
 {0}
 
 On the physical clock, players who play the exact equilibrium with those that they can hear, in every dwell, have
-{3:.2f} digits (`python baselines/learned.py limit`). Who wants more must predict the responses of players that cannot
-be heard, as `observer-relay` does after it has identified the game. The network has learned some of that.
+{3:.2f} digits (`python baselines/learned.py limit`). For more, a player must predict the responses of players that it
+cannot hear, as `observer-relay` does after it has identified the game. The network has learned some of that.
 
 ## One file for all tracks
 

@@ -4,6 +4,7 @@ import csv
 import json
 import random
 
+import learned
 import marl
 import publish
 import pytest
@@ -108,3 +109,8 @@ def test_the_trials_that_lead_after_the_short_run_get_the_long_run_and_the_cheap
     tuning = {"tracks": ["short-deadline"], "steps": (80, 240), "finalists": 2}
     short, long = marl.ranking("ppo", found, tuning)
     assert ([*short], [*long], marl.chosen(long)) == ([1, 2, 0, 3], [2, 1], 1)
+
+
+def test_players_who_hear_all_reach_the_equilibrium_and_others_do_not_without_a_model_of_the_unheard():
+    assert learned.limit("random-energy", episodes=3) == pytest.approx(12)
+    assert learned.limit("random-energy-switching", episodes=3) < 8

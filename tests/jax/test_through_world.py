@@ -90,3 +90,10 @@ def test_a_run_that_gets_worse_keeps_its_best_weights(tmp_path, monkeypatch):
         through_world.train(dataclasses.replace(SHORT, updates=40), tmp_path / name)
         moves.append(float((start["gate"] - load(tmp_path / name / "policy.npz").weights["gate"]).mean()))
     assert moves[0] > 1.2 * moves[1] > 0
+    monkeypatch.setattr(through_world.Lesson, "slope", lambda *_: (downwards, -1.0))
+    (tmp_path / "falls" / "summary.json").unlink()  # as if it was interrupted after thirty updates
+    before = load(tmp_path / "falls" / "policy.npz")
+    half = recurrent.sealed(before.weights, before.training | {"done": 30})
+    (tmp_path / "falls" / "policy.npz").write_bytes(half)
+    through_world.train(dataclasses.replace(SHORT, updates=40), tmp_path / "falls")
+    np.testing.assert_equal(load(tmp_path / "falls" / "policy.npz").weights, before.weights)

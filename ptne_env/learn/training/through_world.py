@@ -200,11 +200,12 @@ def train(
     began = saved = monotonic()
     tracks = tracks or [Track(settings.scenario, find_scenario(settings.scenario), "")]
     weights = _start(settings)
-    resumed_at = steps = 0
+    resumed_at, steps, reached = 0, 0, -math.inf
     if (out / POLICY).exists():
         before = opened(out / POLICY, (out / POLICY).read_bytes())
-        weights, resumed_at, steps = before.weights, before.training["done"], before.training["agent_steps"]
-    mean = weights = jax.tree.map(jnp.asarray, weights)
+        weights, so_far = before.weights, before.training
+        resumed_at, steps, reached = so_far["done"], so_far["agent_steps"], so_far["digits"]
+    best = mean = weights = jax.tree.map(jnp.asarray, weights)
     # Each step of Adam follows the mean slope in all worlds. Steps along those of single worlds undo each other.
     turns = len(tracks)
     rate = optax.cosine_decay_schedule(settings.rate, max(1, settings.updates // turns), 0.02)
@@ -214,7 +215,7 @@ def train(
     key = jax.random.fold_in(jax.random.key(settings.seed), resumed_at)
     lessons = [Lesson(track, settings, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
     write_record(out / CONFIGURATION, settings)
-    best, reached, judged = mean, -math.inf, 0
+    judged = 0  # episodes of the curve
     for done in range(resumed_at + 1, settings.updates + 1):
         lesson = lessons[done % len(lessons)]
         slope, digits = lesson.slope(weights)
@@ -225,12 +226,12 @@ def train(
             curve = np.append(curve, [[steps, digits]], axis=0)
         if progress is not None:
             progress(done, settings.updates, _late(curve))
-        if done % math.ceil(settings.updates / 20) == 0 or done == settings.updates:
-            recent = float(curve[judged:, 1].mean()) if len(curve) > judged else -math.inf
-            best, reached, judged = (mean, recent, len(curve)) if recent >= reached else (best, reached, len(curve))
+        if len(curve) > judged and (done % math.ceil(settings.updates / 20) == 0 or done == settings.updates):
+            recent, judged = float(curve[judged:, 1].mean()), len(curve)
+            best, reached = (mean, recent) if recent >= reached else (best, reached)
         if monotonic() - saved > 60 or done == settings.updates:
-            training = {"done": done, "agent_steps": steps, "worlds": [track.name for track in tracks]}
-            write_atomically(out / POLICY, sealed(best, asdict(settings) | training))
+            training = {"done": done, "agent_steps": steps, "digits": reached, "worlds": [each.name for each in tracks]}
+            write_atomically(out / POLICY, sealed(best if judged else mean, asdict(settings) | training))
             saved = monotonic()
     if not len(curve):  # no episode has ended
         curve = np.array([[steps, lessons[0].digits()]])
