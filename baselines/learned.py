@@ -3,6 +3,7 @@
     python baselines/learned.py train NAME [--seeds 0,1,2,3,4] [--out runs]   train a recipe; resumes what is unfinished
     python baselines/learned.py table [--out runs]                            compare, and write ``learned.md``
     python baselines/learned.py limit                                         digits without a model of the unheard
+    python baselines/learned.py slopes                                        how slopes explode in memories
 
 No world of a suite is trained on: sizes, numbers and fault levels of the generalist's worlds are others, and the worlds
 of the suite ``robustness`` are drawn from another seed.
@@ -85,6 +86,7 @@ WORLDS = (
     _world("late", 4, channel=_noisy(0.1, part("channel:delay", steps=0, longest=5), BURSTS)),
     _world("rounded", 6, channel=part("channel:rounding", width=0.3), topology=_graphs(6, 0.35)),
     _world("liar", 6, channel=_noisy(0.003, part("channel:liar", size=12.0))),
+    _world("liar-of-eight", 8, channel=_noisy(0.002, part("channel:liar", size=30.0)), topology=_graphs(8, 0.35)),
     _world("short", 4, deadline=0.15, steps=36, input_limit=6.0, topology=_graphs(4, 0.5)),
     _world("stranger", 6, kappa=0.8, channel=_noisy(0.02)),
     _world(
@@ -148,19 +150,15 @@ DEFAULTS = "defaults"
 """That of ``ptne train --through-world``, with all defaults."""
 
 RECIPES = {
-    "random-energy-switching-transformed": {"updates": 3000, "window": 30, "shrink": 0.98, "rate": 2e-3},
-    "random-energy-switching": {
-        "updates": 2600,
-        "cells": 1200,
-        "window": 40,
-        "rate": 1e-3,
-        "start": "recurrent-random-energy-switching",
-    },
+    "random-energy-switching-transformed": {"updates": 4000},
+    "random-energy-switching": {"updates": 4000, "start": "recurrent-random-energy-switching"},
     DEFAULTS: {"scenario": "random-energy-switching-transformed"},
     ALL: {
-        "updates": 28600,
-        "cells": 500,
-        "rate": 6e-4,
+        "updates": 2600,
+        "cells": 400,
+        "rate": 1e-3,
+        "hidden": 48,
+        "slot_hidden": 24,
         "knows_costs": False,
         "start": "recurrent-random-worlds",
     },
@@ -178,7 +176,7 @@ def train(name: str, seed: int, out: Path, *, is_shipped: bool) -> None:
     tracks = WORLDS + drawn(6) if name == ALL else ()
 
     def show(done: int, total: int, digits: float) -> None:
-        if done % 200 == 0:
+        if done % 50 == 0:
             print(f"{name} {seed}: {done}/{total}, {digits:.3f} digits", flush=True)
 
     summary = through_world.train(settings, folder, show, tracks)
@@ -322,6 +320,27 @@ def limit(name: str, episodes: int = 200) -> float:
     return float(distances.digits(distances.estimate_distance(estimates, game)).mean())
 
 
+def slopes(windows: int = 8) -> None:
+    """Print the median norm of slopes, and the mean cosine of two, with the gradient through memories and without."""
+    import jax
+
+    from ptne_env.learn.training import through_world
+
+    jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
+    policy = learn.load(f"recurrent-{ALL}")
+    print(f"{'world':24}{'factor per step':>17}{'median norm':>13}{'mean cosine':>13}")
+    for track in [track for track in WORLDS if track.name.endswith(("cycle-physical", "rounded", "liar", "coupled"))]:
+        for factor in (1.0, 0.3):
+            settings = through_world.Settings(**{"scenario": ALL} | RECIPES[ALL] | {"memory_shrink": factor})
+            lesson = through_world.Lesson(track, settings, jax.random.key(0))
+            found = [lesson.slope(policy.weights)[0] for _ in range(2 * windows)][windows:]
+            flat = np.array([np.concatenate([np.ravel(leaf) for leaf in slope.values()]) for slope in found])
+            norms = np.linalg.norm(flat, axis=1)
+            units = flat / norms[:, None]
+            cosine = ((units.sum(0) ** 2).sum() - windows) / (windows * (windows - 1))
+            print(f"{track.name:24}{factor:17.1f}{np.median(norms):13.3g}{cosine:13.2f}")
+
+
 def draw(name: str, scenario: str, path: Path) -> None:
     """Draw an episode of a policy: where player 1 copies from, and how far its messages are from what is true."""
     from matplotlib.figure import Figure
@@ -359,7 +378,7 @@ def draw(name: str, scenario: str, path: Path) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("train", "table", "limit", "draw"))
+    parser.add_argument("command", choices=("train", "table", "limit", "slopes", "draw"))
     parser.add_argument("name", nargs="?", choices=tuple(RECIPES), default=ALL)
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--out", type=Path, default=Path("runs"))
@@ -371,6 +390,8 @@ if __name__ == "__main__":
         table(given.out)
     elif given.command == "limit":
         print(f"{limit('random-energy-switching'):.2f} digits")
+    elif given.command == "slopes":
+        slopes()
     else:
         name = "random-energy-switching-transformed"
         draw(f"recurrent-{name}", name, Path(__file__).parents[1] / "docs" / "images" / "learned.png")

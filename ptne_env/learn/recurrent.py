@@ -14,7 +14,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,7 +33,10 @@ Weights = dict[str, Any]
 Memory = dict[str, Any]
 """What players remember: hidden states, and the observation and displacement of the step before; zeros at a start."""
 
-SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS = 8, 7, 12, 3
+SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS, HEADS = 8, 7, 12, 3, 4
+
+_ZERO = "out_bias", "query"
+"""The weights that are 0 at the start."""
 
 
 class Seen(NamedTuple):
@@ -89,7 +92,7 @@ def initial_weights(
     it counts the largest gradient so far as the largest difference so far.
     """
     weights = {
-        name: (generator.normal(size=shape) / math.sqrt(shape[-1]) * (name != "out_bias")).astype(np.float32)
+        name: (generator.normal(size=shape) / math.sqrt(shape[-1]) * (name not in _ZERO)).astype(np.float32)
         for name, shape in _shapes(hidden, slot_hidden).items()
         if name != "knows_costs"
     }
@@ -99,6 +102,7 @@ def initial_weights(
 def _shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
     return {
         "slot_in": (3, slot_hidden, SLOT_FEATURES),
+        "neighbour": (3, slot_hidden, 2 * slot_hidden),
         "slot_player": (3, slot_hidden, PLAYER_FEATURES),
         "slot_component": (3, slot_hidden, hidden),
         "slot_again": (3, slot_hidden, slot_hidden),
@@ -109,6 +113,8 @@ def _shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
         "again": (3, hidden, hidden),
         "gate": (1, slot_hidden),
         "out": (OUTPUTS, hidden),
+        "key": (HEADS, hidden),
+        "query": (HEADS, hidden),
         "out_bias": (OUTPUTS, 1),
         "knows_costs": (1,),
     }
@@ -153,31 +159,37 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
     unit = xp.where(is_given, 1, largest[0] / xp.where(largest[1] > 0, largest[1], 1)).astype(np.float32)
     scale, slots, components, players = _features(layout, watched, memory, held, unit)
     hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
-    slot_inputs = [
-        _linear(weights["slot_in"][gate], slots)
-        + _linear(weights["slot_component"][gate], hidden)[:, None]
-        + _linear(weights["slot_player"][gate], players)[:, None, None]
-        for gate in range(3)
-    ]
+    # A neighbour is known by all its messages: on average, and those about the player itself.
+    own = seen.own / seen.own.sum(0)
+    of_neighbour = [ordered_sum(slot_hidden, 2) / len(own), ordered_sum(slot_hidden * own, 2)]
+    slot_inputs = (
+        _linear(weights["slot_in"], slots)
+        + _linear(weights["slot_component"], hidden)[:, :, None]
+        + _linear(weights["slot_player"], players)[:, :, None, None]
+        + _linear(weights["neighbour"], xp.concatenate(of_neighbour))[:, :, :, None]
+    )
     slot_hidden = _gated(slot_inputs, weights["slot_again"], slot_hidden)
     logits = xp.where(live, 4 * _linear(weights["gate"], slot_hidden)[0], -1e3)
     chances = xp.exp(logits - without_gradient(logits.max(0))) * live
     attention = chances / xp.maximum(ordered_sum(chances, 0), 1.0)  # the sum is at least 1 if any is live
     count = xp.maximum(live.sum(0), 1).astype(np.float32)
     pooled, chosen = ordered_sum(slot_hidden * live, 1) / count, ordered_sum(slot_hidden * attention, 1)
-    context = [ordered_sum(hidden, 1) / hidden.shape[1], ordered_sum(hidden * seen.own, 1) / seen.own.sum(0)]
-    inputs = [
-        _linear(weights["in"][gate], components)
-        + _linear(weights["pooled"][gate], pooled)
-        + _linear(weights["chosen"][gate], chosen)
-        + _linear(weights["player"][gate], xp.concatenate([players, *context]))[:, None]
-        for gate in range(3)
-    ]
+    context = [ordered_sum(hidden, 1) / len(own), ordered_sum(hidden * own, 1)]
+    inputs = (
+        _linear(weights["in"], components)
+        + _linear(weights["pooled"], pooled)
+        + _linear(weights["chosen"], chosen)
+        + _linear(weights["player"], xp.concatenate([players, *context]))[:, :, None]
+    )
     hidden = _gated(inputs, weights["again"], hidden)
     amplitude, rate, free = _linear(weights["out"], hidden) + weights["out_bias"][:, :, None]
     gates = (1 + xp.tanh(amplitude)) * attention
     step = 0.3 * xp.exp(xp.clip(rate, -7, 3)) * unit * seen.gradient
     wanted = ordered_sum(gates * seen.relative, 0) - step + 0.1 * free * scale
+    # Linear attention: a component follows moves of the others by learned shares of their mean.
+    moves = xp.clip(wanted * (1 - held * seen.own), -3 * scale, 3 * scale)
+    news = ordered_sum(xp.tanh(_linear(weights["key"], hidden)) * moves, 1) / len(own)
+    wanted = wanted + ordered_sum(_linear(weights["query"], hidden) * news[:, None], 0)
     theta = xp.maximum(seen.clock[2], 1e-9)
     inputs = xp.clip(wanted / theta, -layout.action_bound, layout.action_bound)
     moved = without_gradient(theta * inputs)
@@ -262,20 +274,22 @@ def _soft(array: Any) -> Any:
 
 
 def _linear(weight: Any, array: Any) -> Any:
-    """The product of a matrix with the features of an array (F, ..., M)."""
-    if not is_numpy(array):
-        return (weight @ array.reshape(len(array), -1)).reshape(-1, *array.shape[1:])
-    # Each player has a product of its own: in a larger one, libraries of linear algebra take other code for the last
-    # columns, so that the bits of a player's result would depend on its place.
-    of_players = np.ascontiguousarray(np.moveaxis(array, -1, 0)).reshape(array.shape[-1], len(array), -1)
-    product = np.ascontiguousarray(np.moveaxis(weight @ of_players, 0, -1))
-    return product.reshape(-1, *array.shape[1:])
+    """The product of a matrix, or of several side by side, with the features of an array (F, ..., M)."""
+    matrix = weight.reshape(-1, weight.shape[-1])
+    if is_numpy(array):
+        # Each player has a product of its own: in a larger one, libraries of linear algebra take other code for the
+        # last columns, so that the bits of a player's result would depend on its place.
+        of_players = np.ascontiguousarray(np.moveaxis(array, -1, 0)).reshape(array.shape[-1], len(array), -1)
+        product = np.ascontiguousarray(np.moveaxis(matrix @ of_players, 0, -1))
+    else:
+        product = matrix @ array.reshape(len(array), -1)
+    return product.reshape(*weight.shape[:-1], *array.shape[1:])
 
 
-def _gated(inputs: Sequence[Any], weights: Any, hidden: Any) -> Any:
+def _gated(inputs: Any, weights: Any, hidden: Any) -> Any:
     """The next hidden state of a gated recurrent unit: what it keeps, what it uses of it, and the new content."""
     xp = array_namespace(hidden)
-    keep, use = (0.5 * (1 + xp.tanh((inputs[k] + _linear(weights[k], hidden)) / 2)) for k in range(2))
+    keep, use = 0.5 * (1 + xp.tanh((inputs[:2] + _linear(weights[:2], hidden)) / 2))
     return keep * hidden + (1 - keep) * xp.tanh(inputs[2] + _linear(weights[2], use * hidden))
 
 
@@ -284,7 +298,7 @@ def _gated(inputs: Sequence[Any], weights: Any, hidden: Any) -> Any:
 LARGEST_UNPACKED = 16 << 20
 """Bytes of the weights in the largest file that is read; the shipped ones have 70 kB."""
 
-_METADATA, _VERSION = "metadata", 1
+_METADATA, _VERSION = "metadata", 2
 
 
 class RecurrentPolicy:

@@ -64,6 +64,34 @@ def test_actions_of_a_network_that_does_not_know_costs_do_not_depend_on_their_un
     assert policy.decide(np.stack(list(agreed.values())))[0].any()  # though there is no length to compare with
 
 
+def test_a_neighbour_is_known_by_all_that_it_says():
+    """A message about one component changes, one step later, how the neighbour is heard about the others."""
+    env = ptne_env.parallel_env("random-energy", interface="physical")
+    policy = opened().with_layout(env.layout)
+    rows = np.stack(list(env.reset(seed=0)[0].values()))
+    other = rows.copy()
+    other[0, env.layout.slices["relative_estimates"].start] /= 2  # not the largest difference, which sets the scale
+    (_, memory, _), (_, changed, _) = policy.decide(rows), policy.decide(other)
+    gates, others = policy.decide(rows, memory)[2], policy.decide(rows, changed)[2]
+    assert (gates[0, 0] != others[0, 0]).all()
+    np.testing.assert_array_equal(gates[1:], others[1:])
+
+
+def test_components_follow_the_moves_of_others_by_learned_shares():
+    env = ptne_env.parallel_env("random-energy", interface="physical")
+    rows = np.stack(list(env.reset(seed=0)[0].values()))
+    policy = opened().with_layout(env.layout)
+    alone = policy.decide(rows)[0]
+    weights = WEIGHTS | {"query": np.ones_like(WEIGHTS["query"])}
+    together = recurrent.RecurrentPolicy("mine", weights, env.layout, {}).decide(rows)[0]
+    assert (alone != together).all()
+    at_rest = rows.copy()  # where nothing is to move, nothing follows
+    for name in ("own_gradient", "relative_estimates"):
+        at_rest[:, env.layout.slices[name]] = 0
+    weights["out"] = np.zeros_like(weights["out"])
+    assert not recurrent.RecurrentPolicy("mine", weights, env.layout, {}).decide(at_rest)[0].any()
+
+
 def test_a_loaded_policy_has_the_digits_of_its_file_in_every_world(tmp_path):
     (tmp_path / "file.npz").write_bytes(CONTENT)
     specs = [ptne_env.PolicySpec("object", opened()), ptne_env.evaluation.get_policy_spec(str(tmp_path / "file.npz"))]
@@ -86,7 +114,7 @@ def test_a_file_with_a_damaged_byte_is_refused_or_plays_the_same():
     assert refused > 250
 
 
-def sealed_with(version=1, **changes):
+def sealed_with(version=2, **changes):
     """A file whose SHA-256 is right, with some weights changed."""
     weights, buffer = WEIGHTS | changes, io.BytesIO()
     described = {"version": version, "training": {}, "sha256": recurrent._digest(weights, {})}

@@ -11,8 +11,10 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -54,10 +56,11 @@ class Settings:
 
     Attributes:
         scenario: name of the world in which it trains, as for ``ptne train``; of several worlds a name for them.
-        updates: of the weights, in all worlds together.
+        updates: of the weights. Each follows the mean slope in all worlds.
         cells: environments of a world times its players times its components, which is what an update costs.
         window: steps between updates. Gradients end there; states and memories go on.
         shrink: factor of the gradient with respect to the state, per step.
+        memory_shrink: factor of that with respect to what players remember. Without it gradients explode.
         rate: of Adam at the start; it falls to a fiftieth, along a cosine.
         hidden: units of the network per component.
         slot_hidden: units per component of each neighbour.
@@ -73,7 +76,8 @@ class Settings:
     updates: int = 1200
     cells: int = 1600
     window: int = 20
-    shrink: float = 0.97
+    shrink: float = 0.9
+    memory_shrink: float = 0.3
     rate: float = 1.5e-3
     hidden: int = 32
     slot_hidden: int = 16
@@ -86,7 +90,8 @@ class Settings:
             require_count(name, getattr(self, name), 1)
         require_count("seed", self.seed, 0)
         require_positive("rate", self.rate)
-        require_probability("shrink", self.shrink)
+        for name in ("shrink", "memory_shrink"):
+            require_probability(name, getattr(self, name))
 
 
 class Lesson:
@@ -134,8 +139,6 @@ class Lesson:
     def _continued(self, weights: Weights, carry: Any, key: Any, forced: Any) -> Any:
         world = self.world
         (_, carry), slope = jax.value_and_grad(self._loss, has_aux=True)(weights, carry)
-        norm = jnp.sqrt(sum(jnp.vdot(leaf, leaf) for leaf in jax.tree.leaves(slope)))
-        slope = jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(norm), leaf / jnp.maximum(norm, 1.0), 0.0), slope)
         state, memory = carry
         over = world.is_over(state)
         ended = jnp.where(over, world.digits(state), 0.0).sum() / over.sum()
@@ -156,21 +159,26 @@ class Lesson:
         world, layout = self.world, self.world.layout
         observed = world.observe(state)
         seen = read(layout, observed.reshape(len(observed), -1), self._player)
+        shrink, shrink_memory = self._settings.shrink, self._settings.memory_shrink
+        memory = memory | {name: _shrunk(memory[name], shrink_memory) for name in ("hidden", "slot_hidden")}
         inputs, memory, _ = decide(weights, layout, seen, memory)
         if self._stranger.any():
             theirs = self._kappa * (seen.live[:, None] * seen.relative).sum(0) - seen.gradient
             inputs = jnp.where(self._stranger.reshape(-1), theirs, inputs)
         state = world.step(state, inputs.reshape(*state.estimates.shape).astype(jnp.float64))
-        state = state._replace(estimates=self._shrunk(state.estimates), own_gradients=self._shrunk(state.own_gradients))
+        estimates, own_gradients = (_shrunk(each, shrink) for each in (state.estimates, state.own_gradients))
+        state = state._replace(estimates=estimates, own_gradients=own_gradients)
         if state.received is not None:
-            messages = self._shrunk(state.received.messages)
+            messages = _shrunk(state.received.messages, shrink)
             state = state._replace(received=state.received._replace(messages=messages))
         logarithms = -distances.digits(distances.player_distances(state.estimates, state.game))
         return (state, memory), jnp.where(state.diverged | self._stranger, 0.0, logarithms).mean()
 
-    def _shrunk(self, array: Any) -> Any:
-        kept = without_gradient(array)
-        return kept + self._settings.shrink * (array - kept)
+
+def _shrunk(array: Any, factor: float) -> Any:
+    """The same array, whose gradient is multiplied by a factor."""
+    kept = without_gradient(array)
+    return kept + factor * (array - kept)
 
 
 def train(
@@ -189,7 +197,7 @@ def train(
         settings: of the run.
         out: folder for all files of the run; made if missing.
         progress: called after every update with their number, that of all, and the digits of the last tenth.
-        tracks: the worlds in which it trains, in turn; the scenario of the settings if left out.
+        tracks: the worlds in which it trains, two at a time; the scenario of the settings if left out.
 
     Raises:
         ValueError: for an unknown scenario, or when ``out`` holds a run with other settings or a damaged one.
@@ -206,33 +214,35 @@ def train(
         weights, so_far = before.weights, before.training
         resumed_at, steps, reached = so_far["done"], so_far["agent_steps"], so_far["digits"]
     best = mean = weights = jax.tree.map(jnp.asarray, weights)
-    # Each step of Adam follows the mean slope in all worlds. Steps along those of single worlds undo each other.
-    turns = len(tracks)
-    rate = optax.cosine_decay_schedule(settings.rate, max(1, settings.updates // turns), 0.02)
-    adam = optax.adam(lambda count: rate(count + resumed_at // turns))
-    optimiser = optax.MultiSteps(adam, turns)
+    rate = optax.cosine_decay_schedule(settings.rate, settings.updates, 0.02)
+    optimiser = optax.adam(lambda count: rate(count + resumed_at))
     memory, curve = optimiser.init(weights), np.zeros((0, 2))
     key = jax.random.fold_in(jax.random.key(settings.seed), resumed_at)
     lessons = [Lesson(track, settings, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
     write_record(out / CONFIGURATION, settings)
-    judged = 0  # episodes of the curve
-    for done in range(resumed_at + 1, settings.updates + 1):
-        lesson = lessons[done % len(lessons)]
-        slope, digits = lesson.slope(weights)
-        # A mean of late weights has up to a digit more than the last ones, above all where many worlds take turns.
-        memory, weights, mean = _moved(optimiser, slope, memory, weights, mean, 20 / (done - resumed_at + 19))
-        steps += lesson.agent_steps
-        if math.isfinite(digits):
-            curve = np.append(curve, [[steps, digits]], axis=0)
-        if progress is not None:
-            progress(done, settings.updates, _late(curve))
-        if len(curve) > judged and (done % math.ceil(settings.updates / 20) == 0 or done == settings.updates):
-            recent, judged = float(curve[judged:, 1].mean()), len(curve)
-            best, reached = (mean, recent) if recent >= reached else (best, reached)
-        if monotonic() - saved > 60 or done == settings.updates:
-            training = {"done": done, "agent_steps": steps, "digits": reached, "worlds": [each.name for each in tracks]}
-            write_atomically(out / POLICY, sealed(best if judged else mean, asdict(settings) | training))
-            saved = monotonic()
+    judged = 0  # updates of the curve
+    with ThreadPoolExecutor(2) as side_by_side:
+        for done in range(resumed_at + 1, settings.updates + 1):
+            slopes, digits = zip(*side_by_side.map(Lesson.slope, lessons, repeat(weights, len(lessons))), strict=True)
+            # A mean of late weights has up to a digit more than the last ones.
+            memory, weights, mean = _moved(optimiser, slopes, memory, weights, mean, 20 / (done - resumed_at + 19))
+            steps += sum(lesson.agent_steps for lesson in lessons)
+            if np.isfinite(digits).any():
+                curve = np.append(curve, [[steps, np.nanmean(digits)]], axis=0)
+            if progress is not None:
+                progress(done, settings.updates, _late(curve))
+            if len(curve) > judged and (done % math.ceil(settings.updates / 20) == 0 or done == settings.updates):
+                recent, judged = float(curve[judged:, 1].mean()), len(curve)
+                best, reached = (mean, recent) if recent >= reached else (best, reached)
+            if monotonic() - saved > 60 or done == settings.updates:
+                training = {
+                    "done": done,
+                    "agent_steps": steps,
+                    "digits": reached,
+                    "worlds": [each.name for each in tracks],
+                }
+                write_atomically(out / POLICY, sealed(best if judged else mean, asdict(settings) | training))
+                saved = monotonic()
     if not len(curve):  # no episode has ended
         curve = np.array([[steps, lessons[0].digits()]])
     parts = [part for part in np.array_split(curve, 20) if len(part)]
@@ -257,11 +267,19 @@ def _start(settings: Settings) -> Weights:
 
 
 @partial(jax.jit, static_argnums=0)
-def _moved(optimiser: Any, slope: Weights, memory: Any, weights: Weights, mean: Weights, share: float) -> Any:
-    """The memory of the optimiser, the weights after its step, and their running mean."""
+def _moved(optimiser: Any, slopes: Any, memory: Any, weights: Weights, mean: Weights, share: float) -> Any:
+    """The memory of the optimiser, the weights after its step along the mean slope, and their running mean."""
+    # Steps along slopes of single worlds undo each other.
+    slope = jax.tree.map(lambda *each: sum(each) / len(slopes), *map(_clipped, slopes))
     change, memory = optimiser.update(slope, memory, weights)
     weights = optax.apply_updates(weights, change)
     return memory, weights, jax.tree.map(lambda old, new: old + share * (new - old), mean, weights)
+
+
+def _clipped(slope: Weights) -> Weights:
+    """The slope, shortened to norm 1 if it is longer; 0 where it is not finite."""
+    norm = optax.global_norm(slope)
+    return jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(norm), leaf / jnp.maximum(norm, 1.0), 0.0), slope)
 
 
 def _late(curve: Any) -> float:
