@@ -151,10 +151,17 @@ DEFAULTS = "defaults"
 
 RECIPES = {
     "random-energy-switching-transformed": {"updates": 4000},
-    "random-energy-switching": {"updates": 4000, "start": "recurrent-random-energy-switching"},
+    "random-energy-switching": {
+        "updates": 1500,
+        "window": 40,
+        "shrink": 0.97,
+        "memory_shrink": 0.7,
+        "rate": 6e-4,
+        "start": "recurrent-random-energy-switching",
+    },
     DEFAULTS: {"scenario": "random-energy-switching-transformed"},
     ALL: {
-        "updates": 2600,
+        "updates": 1700,
         "cells": 400,
         "rate": 1e-3,
         "hidden": 48,
@@ -266,10 +273,9 @@ standard deviation over training seeds.
 
 ## Specialists
 
-Each was trained in other games of its family: the first for 18 minutes on one core, the second for 8 minutes from the
-weights of the first and then for 11 minutes more, both with one training seed; the last for three minutes per seed. The
-first file is older than the rule that networks are not told the number of players: what it had learned from that number
-is in its other weights, for five players.
+Each was trained in other games of its family: the first for MINUTES1 minutes on one core; the second for 34 minutes, in
+runs that went on from each other, the last of which has the settings of the recipe; the defaults for four to five
+minutes per seed, beside other work. The first two have one training seed.
 
 {0}
 
@@ -279,9 +285,9 @@ cannot hear, as `observer-relay` does after it has identified the game. The netw
 
 ## One file for all tracks
 
-Trained in worlds of which none is of a suite, with at most 12 players, with one training seed, for 104 minutes on one
-core: for 40 in 23 worlds, for 27 in 19 of them, and for 37 in 22, from then on without a unit of costs. The recipe has
-the settings of the last run, and goes on from the file that ships by then. The same network plays every track. Of the
+Trained in worlds of which none is of a suite, with at most 12 players, with one training seed: for 104 minutes on one
+core as a smaller network, and then for MINUTES on two cores in 23 worlds, with slopes that do not explode in memories. The
+recipe has the settings of the last run, and goes on from the file that ships by then. The same network plays every track. Of the
 standard algorithms, `ppo` was trained on `nominal` for 5,000,000 agent-steps, and the others on the track itself for
 92,160 ([marl.md](marl.md)).
 
@@ -289,8 +295,8 @@ standard algorithms, `ppo` was trained on `nominal` for 5,000,000 agent-steps, a
 
 {2}
 
-The specialists, and the mean of nine checkpoints from which the second run started, are not reproduced bit for bit by
-their recipes.
+The second specialist, and the smaller network from which the last run started, are not reproduced bit for bit by their
+recipes.
 """
 
 
