@@ -286,10 +286,10 @@ cannot hear, as `observer-relay` does after it has identified the game. The netw
 ## One file for all tracks
 
 Trained in worlds of which none is of a suite, with at most 12 players, with one training seed: for 104 minutes on one
-core as a smaller network, and then for 92 minutes of a core in 23 worlds, with slopes that do not explode in memories. The
-recipe has the settings of the last run, and goes on from the file that ships by then. The same network plays every track. Of the
-standard algorithms, `ppo` was trained on `nominal` for 5,000,000 agent-steps, and the others on the track itself for
-92,160 ([marl.md](marl.md)).
+core as a smaller network, and then for 92 minutes of a core in 23 worlds, with short gradients through memories. The
+recipe has the settings of the last run, and goes on from the file that ships by then. The same network plays every
+track. Of the standard algorithms, `ppo` was trained on `nominal` for 5,000,000 agent-steps, and the others on the track
+itself for 92,160 ([marl.md](marl.md)).
 
 {1}
 

@@ -278,7 +278,7 @@ def _moved(optimiser: Any, slopes: Any, memory: Any, weights: Weights, mean: Wei
 
 def _clipped(slope: Weights) -> Weights:
     """The slope, shortened to norm 1 if it is longer; 0 where it is not finite."""
-    norm = optax.global_norm(slope)
+    norm = jnp.sqrt(sum(jnp.vdot(leaf, leaf) for leaf in jax.tree.leaves(slope)))
     return jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(norm), leaf / jnp.maximum(norm, 1.0), 0.0), slope)
 
 
