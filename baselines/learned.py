@@ -275,7 +275,8 @@ standard deviation over training seeds.
 
 Each was trained in other games of its family: the first for 12 minutes of one core; the second for 34 minutes, in
 runs that went on from each other, the last of which has the settings of the recipe; the defaults for four to five
-minutes per seed, beside other work. The first two have one training seed.
+minutes per seed, beside other work. The first two have one training seed. The last two runs of the second were those of
+a variant of this loop, which exports a running mean of the weights in place of that of the best twentieth.
 
 {0}
 
@@ -327,7 +328,7 @@ def limit(name: str, episodes: int = 200) -> float:
 
 
 def slopes(windows: int = 8) -> None:
-    """Print the median norm of slopes, and the mean cosine of two, with the gradient through memories and without."""
+    """Print the median norm of slopes, and the mean cosine of two, with gradients through memories whole and short."""
     import jax
 
     from ptne_env.learn.training import through_world
