@@ -65,15 +65,16 @@ def test_actions_of_a_network_that_does_not_know_costs_do_not_depend_on_their_un
 
 
 def test_a_neighbour_is_known_by_all_that_it_says():
-    """A message about one component changes, one step later, how the neighbour is heard about the others."""
+    """A message about one component changes, one step later, how much it is heard about the others, beside another."""
     env = ptne_env.parallel_env("random-energy", interface="physical")
     policy = opened().with_layout(env.layout)
     rows = np.stack(list(env.reset(seed=0)[0].values()))
     other = rows.copy()
     other[0, env.layout.slices["relative_estimates"].start] /= 2  # not the largest difference, which sets the scale
     (_, memory, _), (_, changed, _) = policy.decide(rows), policy.decide(other)
-    gates, others = policy.decide(rows, memory)[2], policy.decide(rows, changed)[2]
-    assert (gates[0, 0] != others[0, 0]).all()
+    gates, others = (policy.decide(rows, each)[2] for each in (memory, changed))
+    shares = [each[0, 0, 1:] / each[0, 1, 1:] for each in (gates, others)]  # of attention, whatever the amplitude
+    assert (np.abs(shares[0] - shares[1]) > 1e-4 * shares[0]).all()
     np.testing.assert_array_equal(gates[1:], others[1:])
 
 
