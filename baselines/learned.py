@@ -71,6 +71,19 @@ WORLDS = (
     _world("clean", 4, channel="perfect", message_range=None),
     _world("cycle-physical", 6, topology=_cycle(6, 3, 0.09, "physical"), channel=_noisy(0.002)),
     _world("cycle-of-four", 4, topology=_cycle(4, 2, 0.13, "physical"), channel=_noisy(0.001)),
+    _world("cycle-of-seven", 7, topology=_cycle(7, 3, 0.12, "physical"), channel=_noisy(0.001)),
+    _world(
+        "edges-physical",
+        4,
+        topology=part(
+            "topology:random-edges",
+            graph=part("topology:circulant", players=4, offsets=(1, 2)),
+            probability=0.3,
+            dwells=(0.07, 0.15),
+            clock="physical",
+        ),
+        channel=_noisy(0.002),
+    ),
     _world(
         "edges-transformed",
         6,
@@ -98,6 +111,20 @@ WORLDS = (
     ),
     _world("bent", 6, game=part("game:random-saturating", affine=part("game:random-affine", players=6), bend=10.0)),
     _world(
+        "monotone-six",
+        6,
+        game=part("game:random-affine", players=6, epsilon=0.0),
+        start=part("start:uniform", low=-12.0, high=12.0),
+        message_range=60.0,
+        channel=_noisy(0.001),
+    ),
+    _world(
+        "bent-four",
+        4,
+        game=part("game:random-saturating", affine=part("game:random-affine", players=4), bend=15.0),
+        channel=_noisy(0.001),
+    ),
+    _world(
         "box",
         4,
         game=part("game:random-affine", players=4, action_dim=(2, 1, 3, 1), low=-4.0, high=6.0),
@@ -108,6 +135,22 @@ WORLDS = (
         5,
         game=part("game:coupled", game=_energy(4), lines=3),
         message_range=120.0,
+    ),
+    _world(
+        "coupled-six",
+        7,
+        game=part("game:coupled", game=_energy(6), lines=3),
+        topology=_graphs(7, 0.35),
+        message_range=120.0,
+        channel=_noisy(0.001),
+    ),
+    _world(
+        "ten-switching",
+        10,
+        topology=_cycle(10, 2, 0.1, "physical"),
+        gain=8.0,
+        steps=200,
+        channel=_noisy(0.001),
     ),
     _world(
         "dozen",
@@ -152,7 +195,7 @@ DEFAULTS = "defaults"
 RECIPES = {
     "random-energy-switching-transformed": {"updates": 4000},
     "random-energy-switching": {
-        "updates": 1500,
+        "updates": 4000,
         "window": 40,
         "shrink": 0.97,
         "memory_shrink": 0.7,
@@ -161,8 +204,8 @@ RECIPES = {
     },
     DEFAULTS: {"scenario": "random-energy-switching-transformed"},
     ALL: {
-        "updates": 1700,
-        "cells": 400,
+        "updates": 2000,
+        "cells": 300,
         "rate": 1e-3,
         "hidden": 48,
         "slot_hidden": 24,

@@ -160,25 +160,42 @@ class Lesson:
         observed = world.observe(state)
         seen = read(layout, observed.reshape(len(observed), -1), self._player)
         shrink, shrink_memory = self._settings.shrink, self._settings.memory_shrink
-        memory = memory | {name: _shrunk(memory[name], shrink_memory) for name in ("hidden", "slot_hidden")}
+        share = 1 / len(self._player)  # of a player of an environment in the loss
+        memory = memory | {name: _short(memory[name], shrink_memory, share) for name in ("hidden", "slot_hidden")}
         inputs, memory, _ = decide(weights, layout, seen, memory)
         if self._stranger.any():
             theirs = self._kappa * (seen.live[:, None] * seen.relative).sum(0) - seen.gradient
             inputs = jnp.where(self._stranger.reshape(-1), theirs, inputs)
         state = world.step(state, inputs.reshape(*state.estimates.shape).astype(jnp.float64))
-        estimates, own_gradients = (_shrunk(each, shrink) for each in (state.estimates, state.own_gradients))
+        # The loss of a step has a slope of the order of one over the distance.
+        distance = jnp.sqrt((without_gradient(state.estimates - state.game.nash_equilibria[:, None]) ** 2).sum((0, 1)))
+        bound = 1 / (self.envs * jnp.maximum(distance, distances.FLOOR))
+        estimates, own_gradients = (_short(each, shrink, bound) for each in (state.estimates, state.own_gradients))
         state = state._replace(estimates=estimates, own_gradients=own_gradients)
         if state.received is not None:
-            messages = _shrunk(state.received.messages, shrink)
+            messages = _short(state.received.messages, shrink, bound)
             state = state._replace(received=state.received._replace(messages=messages))
         logarithms = -distances.digits(distances.player_distances(state.estimates, state.game))
         return (state, memory), jnp.where(state.diverged | self._stranger, 0.0, logarithms).mean()
 
 
-def _shrunk(array: Any, factor: float) -> Any:
-    """The same array, whose gradient is multiplied by a factor."""
-    kept = without_gradient(array)
-    return kept + factor * (array - kept)
+@jax.custom_vjp  # type: ignore[untyped-decorator]  # of JAX
+def _short(array: Any, factor: Any, bound: Any) -> Any:  # noqa: ARG001 - of its gradient
+    """The same array, whose gradient is cut to a norm, a bound of each of its last axis, and multiplied by a factor.
+
+    Gradients through a window explode in some environments, whose directions would otherwise drown those of the others.
+    """
+    return array
+
+
+def _cut(kept: Any, gradient: Any) -> Any:
+    factor, bound = kept
+    norm = jnp.sqrt((gradient.astype(jnp.float64) ** 2).sum(tuple(range(gradient.ndim - 1))))
+    scale = factor * jnp.minimum(1.0, bound / jnp.maximum(norm, 1e-300))
+    return jnp.where(jnp.isfinite(norm), gradient * scale, 0.0).astype(gradient.dtype), None, None
+
+
+_short.defvjp(lambda array, factor, bound: (array, (factor, bound)), _cut)
 
 
 def train(
