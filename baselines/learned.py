@@ -3,7 +3,6 @@
     python baselines/learned.py train NAME [--seeds 0,1,2,3,4] [--out runs]   train a recipe; resumes what is unfinished
     python baselines/learned.py table [--out runs]                            compare, and write ``learned.md``
     python baselines/learned.py limit                                         digits without a model of the unheard
-    python baselines/learned.py slopes                                        how slopes explode in memories
 
 No world of a suite is trained on: sizes, numbers and fault levels of the generalist's worlds are others, and the worlds
 of the suite ``robustness`` are drawn from another seed.
@@ -192,28 +191,27 @@ ALL = "random-worlds"
 DEFAULTS = "defaults"
 """That of ``ptne train --through-world``, with all defaults."""
 
+LONG = {"window": 60, "shrink": 0.99, "memory_shrink": 0.9}
+"""Gradients through two dwells of the physical clock."""
+
 RECIPES = {
     "random-energy-switching-transformed": {"updates": 4000},
-    "random-energy-switching": {
-        "updates": 4000,
-        "window": 40,
-        "shrink": 0.97,
-        "memory_shrink": 0.7,
-        "rate": 6e-4,
-        "start": "recurrent-random-energy-switching",
-    },
+    "random-energy-switching": {"updates": 5000} | LONG,
     DEFAULTS: {"scenario": "random-energy-switching-transformed"},
-    ALL: {
-        "updates": 2000,
-        "cells": 300,
-        "rate": 1e-3,
+    ALL: LONG
+    | {
+        "updates": 600,
+        "cells": 200,
+        "rate": 5e-4,
         "hidden": 48,
         "slot_hidden": 24,
         "knows_costs": False,
         "start": "recurrent-random-worlds",
+        "window": 40,
     },
 }
-"""Settings of two specialists, of a user's first run, and of the generalist. Two go on from the files they replace.
+"""Settings of two specialists, of a user's first run, and of the generalist. The last
+goes on from the file that it replaces.
 The scenario is that of the name, unless it is among them."""
 
 
@@ -370,27 +368,6 @@ def limit(name: str, episodes: int = 200) -> float:
     return float(distances.digits(distances.estimate_distance(estimates, game)).mean())
 
 
-def slopes(windows: int = 8) -> None:
-    """Print the median norm of slopes, and the mean cosine of two, with gradients through memories whole and short."""
-    import jax
-
-    from ptne_env.learn.training import through_world
-
-    jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
-    policy = learn.load(f"recurrent-{ALL}")
-    print(f"{'world':24}{'factor per step':>17}{'median norm':>13}{'mean cosine':>13}")
-    for track in [track for track in WORLDS if track.name.endswith(("cycle-physical", "rounded", "liar", "coupled"))]:
-        for factor in (1.0, 0.3):
-            settings = through_world.Settings(**{"scenario": ALL} | RECIPES[ALL] | {"memory_shrink": factor})
-            lesson = through_world.Lesson(track, settings, jax.random.key(0))
-            found = [lesson.slope(policy.weights)[0] for _ in range(2 * windows)][windows:]
-            flat = np.array([np.concatenate([np.ravel(leaf) for leaf in slope.values()]) for slope in found])
-            norms = np.linalg.norm(flat, axis=1)
-            units = flat / norms[:, None]
-            cosine = ((units.sum(0) ** 2).sum() - windows) / (windows * (windows - 1))
-            print(f"{track.name:24}{factor:17.1f}{np.median(norms):13.3g}{cosine:13.2f}")
-
-
 def draw(name: str, scenario: str, path: Path) -> None:
     """Draw an episode of a policy: where player 1 copies from, and how far its messages are from what is true."""
     from matplotlib.figure import Figure
@@ -428,7 +405,7 @@ def draw(name: str, scenario: str, path: Path) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("train", "table", "limit", "slopes", "draw"))
+    parser.add_argument("command", choices=("train", "table", "limit", "draw"))
     parser.add_argument("name", nargs="?", choices=tuple(RECIPES), default=ALL)
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--out", type=Path, default=Path("runs"))
@@ -440,8 +417,6 @@ if __name__ == "__main__":
         table(given.out)
     elif given.command == "limit":
         print(f"{limit('random-energy-switching'):.2f} digits")
-    elif given.command == "slopes":
-        slopes()
     else:
         name = "random-energy-switching-transformed"
         draw(f"recurrent-{name}", name, Path(__file__).parents[1] / "docs" / "images" / "learned.png")
