@@ -196,7 +196,7 @@ LONG = {"window": 60, "shrink": 0.99, "memory_shrink": 0.9}
 
 RECIPES = {
     "random-energy-switching-transformed": {"updates": 4000},
-    "random-energy-switching": {"updates": 5000} | LONG,
+    "random-energy-switching": {"updates": 2400} | LONG,
     DEFAULTS: {"scenario": "random-energy-switching-transformed"},
     ALL: LONG
     | {
