@@ -60,7 +60,7 @@ class Settings:
         cells: environments of a world times its players times its components, which is what an update costs.
         window: steps between updates. Gradients end there; states and memories go on.
         shrink: factor of the gradient with respect to the state, per step.
-        memory_shrink: factor of that with respect to what players remember. Without it gradients explode.
+        memory_shrink: factor of that with respect to what players remember.
         rate: of Adam at the start; it falls to a fiftieth, along a cosine.
         hidden: units of the network per component.
         slot_hidden: units per component of each neighbour.
@@ -73,11 +73,11 @@ class Settings:
     """
 
     scenario: str
-    updates: int = 1200
+    updates: int = 800
     cells: int = 1600
-    window: int = 20
-    shrink: float = 0.9
-    memory_shrink: float = 0.3
+    window: int = 40
+    shrink: float = 0.99
+    memory_shrink: float = 0.9
     rate: float = 1.5e-3
     hidden: int = 32
     slot_hidden: int = 16
