@@ -308,8 +308,8 @@ standard deviation over training seeds.
 ## Specialists
 
 Each was trained in other games of its family, from random weights: the first for six minutes of one core beside other
-work, the second for 12, both with one training seed; the defaults for two to three minutes per seed. The second is the
-best of three runs by the digits in training: one without factors on the gradients had 0.2 digits less, and one with
+work, the second for 12, both with one training seed; the defaults for three to four minutes per seed. The second is
+the best of three runs by the digits in training: one without factors on the gradients had 0.2 digits less, and one with
 other rounding errors was 0.6 behind after 1,400 updates, where it was stopped.
 
 {0}
