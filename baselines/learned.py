@@ -55,6 +55,12 @@ def _cycle(players: int, modes: int, dwell: float, clock: str) -> FactorySpec:
     return part("topology:periodic", graphs=graphs, dwells=[dwell] * modes, clock=clock)
 
 
+def _edges(players: int, probability: float, dwells: tuple[float, float], clock: str) -> FactorySpec:
+    """Links of a circulant graph that come and go."""
+    graph = part("topology:circulant", players=players, offsets=(1, 2))
+    return part("topology:random-edges", graph=graph, probability=probability, dwells=dwells, clock=clock)
+
+
 BURSTS = part("channel:bursts", to_bad=0.08, to_good=0.15)
 
 BASE = get_scenario("random-energy").replace(steps=240, message_range=80.0, gain=16.0, s_end=5.5)
@@ -71,30 +77,8 @@ WORLDS = (
     _world("cycle-physical", 6, topology=_cycle(6, 3, 0.09, "physical"), channel=_noisy(0.002)),
     _world("cycle-of-four", 4, topology=_cycle(4, 2, 0.13, "physical"), channel=_noisy(0.001)),
     _world("cycle-of-seven", 7, topology=_cycle(7, 3, 0.12, "physical"), channel=_noisy(0.001)),
-    _world(
-        "edges-physical",
-        4,
-        topology=part(
-            "topology:random-edges",
-            graph=part("topology:circulant", players=4, offsets=(1, 2)),
-            probability=0.3,
-            dwells=(0.07, 0.15),
-            clock="physical",
-        ),
-        channel=_noisy(0.002),
-    ),
-    _world(
-        "edges-transformed",
-        6,
-        topology=part(
-            "topology:random-edges",
-            graph=part("topology:circulant", players=6, offsets=(1, 2)),
-            probability=0.35,
-            dwells=(0.15, 0.5),
-            clock="transformed",
-        ),
-        channel=_noisy(0.2),
-    ),
+    _world("edges-physical", 4, topology=_edges(4, 0.3, (0.07, 0.15), "physical"), channel=_noisy(0.002)),
+    _world("edges-transformed", 6, topology=_edges(6, 0.35, (0.15, 0.5), "transformed"), channel=_noisy(0.2)),
     _world("late", 4, channel=_noisy(0.1, part("channel:delay", steps=0, longest=5), BURSTS)),
     _world("rounded", 6, channel=part("channel:rounding", width=0.3), topology=_graphs(6, 0.35)),
     _world("liar", 6, channel=_noisy(0.003, part("channel:liar", size=12.0))),

@@ -13,14 +13,7 @@ from ptne_env.envs.turn_based import aec_env
 with warnings.catch_warnings():
     # The suites import one of PettingZoo's own environments in the way that PettingZoo itself deprecates.
     warnings.filterwarnings("ignore", "The old environment creation API", DeprecationWarning)
-    from pettingzoo.test import (
-        api_test,
-        max_cycles_test,
-        parallel_api_test,
-        parallel_seed_test,
-        render_test,
-        seed_test,
-    )
+    from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test, render_test, seed_test
 
 SCENARIOS = {
     "energy": "energy",

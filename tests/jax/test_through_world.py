@@ -20,20 +20,20 @@ SHORT = through_world.Settings(
     "test_through_world:SCENARIO", updates=4, cells=50, window=5, hidden=4, slot_hidden=3, rate=0.01
 )
 SCENARIO = ptne_env.get_scenario("random-energy-switching", steps=20)
+TRACK = through_world.Track("energy", SCENARIO, "")
+WEIGHTS = recurrent.initial_weights(np.random.default_rng(SHORT.seed), 4, 3)
 
 
 def test_the_network_is_the_same_in_numpy_and_jax():
     world = ptne_env.jax.world(SCENARIO, interface="physical")
-    layout, weights = world.layout, recurrent.initial_weights(np.random.default_rng(0), 4, 3)
-    policy = recurrent.RecurrentPolicy("mine", weights, layout, {})
+    layout, policy = world.layout, recurrent.RecurrentPolicy("mine", WEIGHTS, world.layout, {})
     encoder = make_encoder(world.numpy, layout.interface)
     state = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
-    player, memory, memories = np.repeat(np.arange(5), 3), None, recurrent.initial_memory(weights, layout, 15)
-    memories = jax.tree.map(jax.numpy.asarray, memories)
+    player, memory, memories = np.repeat(np.arange(5), 3), None, recurrent.initial_memory(WEIGHTS, layout, 15, np)
     for _ in range(6):
         actions, memory = policy.predict(encoder.observe(state).reshape(15, -1), memory)
         observed = world.observe(world.state(state)).reshape(layout.size, -1)
-        again, memories, _ = recurrent.decide(weights, layout, recurrent.read(layout, observed, player), memories)
+        again, memories, _ = recurrent.decide(WEIGHTS, layout, recurrent.read(layout, observed, player), memories)
         by_row = np.asarray(again).reshape(5, 5, 3).transpose(2, 1, 0).reshape(15, 5)
         np.testing.assert_allclose(actions, by_row, rtol=1e-3, atol=1e-4 * np.abs(actions).max())
         state = dynamics.step(world.numpy, state, encoder.decode(actions.reshape(3, 5, 5), state))
@@ -41,30 +41,37 @@ def test_the_network_is_the_same_in_numpy_and_jax():
 
 def test_gradients_are_finite_where_nothing_is_left_to_do():
     """At the equilibrium distances, differences and scales are 0, and their logarithms are not defined."""
-    track = through_world.Track("energy", SCENARIO, "")
-    lesson = through_world.Lesson(track, SHORT, jax.random.key(0))
+    lesson = through_world.Lesson(TRACK, SHORT, jax.random.key(0))
     state, memory = lesson._carry
     rest = jax.numpy.broadcast_to(state.game.nash_equilibria[:, None], state.estimates.shape)
     state = state._replace(estimates=rest, own_gradients=0 * state.own_gradients)
-    weights = jax.tree.map(jax.numpy.asarray, recurrent.initial_weights(np.random.default_rng(0), 4, 3))
-    slope = jax.grad(lambda weights: lesson._loss(weights, (state, memory))[0])(weights)
+    slope = jax.grad(lambda weights: lesson._loss(weights, (state, memory))[0])(WEIGHTS)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slope))
 
 
 def test_gradients_do_not_explode_in_memories(monkeypatch):
     """Gated units with large weights are chaotic, and their gradients grow from step to step."""
-    weights = recurrent.initial_weights(np.random.default_rng(0), 4, 3)
-    weights |= {name: 8 * weights[name] for name in ("again", "slot_again")}
+    weights = WEIGHTS | {name: 8 * WEIGHTS[name] for name in ("again", "slot_again")}
     settings = dataclasses.replace(SHORT, window=15, shrink=1.0, memory_shrink=1.0)
 
     def norm():
-        lesson = through_world.Lesson(through_world.Track("energy", SCENARIO, ""), settings, jax.random.key(0))
+        lesson = through_world.Lesson(TRACK, settings, jax.random.key(0))
         slope = jax.grad(lambda weights: lesson._loss(weights, lesson._carry)[0])(weights)
         return sum(float((leaf**2).sum()) for leaf in jax.tree.leaves(slope)) ** 0.5
 
     bounded = norm()
     monkeypatch.setattr(through_world, "_short", lambda array, factor, bound: array)
     assert bounded < 0.1 * norm()
+
+
+def test_gradients_with_respect_to_states_are_cut_in_every_step():
+    lesson = through_world.Lesson(TRACK, SHORT, jax.random.key(0))
+    before, memory = lesson._carry
+    estimates, back = jax.vjp(
+        lambda each: lesson._step(WEIGHTS, (before._replace(estimates=each), memory))[0][0].estimates, before.estimates
+    )
+    distances = np.linalg.norm(estimates - before.game.nash_equilibria[:, None], axis=(0, 1))
+    assert (np.linalg.norm(back(1e9 * estimates)[0], axis=(0, 1)) < 3 / (lesson.envs * distances)).all()
 
 
 def test_gradients_are_cut_in_each_environment_and_lost_where_they_are_not_finite():
@@ -85,8 +92,8 @@ def test_a_run_learns_and_goes_on_after_an_interruption(tmp_path):
     with pytest.raises(ValueError, match="holds another run: seed is 0 there and 1 here"):
         through_world.train(dataclasses.replace(SHORT, seed=1), out)
     (out / "summary.json").unlink()  # as if it was interrupted after two updates
-    half = recurrent.sealed(policy.weights, policy.training | {"done": 2, "agent_steps": 100})
-    (out / "policy.npz").write_bytes(half)
+    half = policy.training | {"done": 2, "agent_steps": 100}
+    (out / "policy.npz").write_bytes(recurrent.sealed(policy.weights, half))
     resumed = through_world.train(SHORT, out)
     assert resumed.resumed_at == 2
     assert np.isfinite(resumed.digits)  # though no episode has ended since then
@@ -96,31 +103,26 @@ def test_a_run_learns_and_goes_on_after_an_interruption(tmp_path):
 
 
 def test_an_update_follows_the_mean_slope_of_all_worlds(tmp_path, monkeypatch):
-    start = recurrent.initial_weights(np.random.default_rng(SHORT.seed), 4, 3)
-    track = through_world.Track("energy", SCENARIO, "")
     for name, signs, moves in (("opposite", (1, -1), False), ("alike", (1, 1), True)):
-        slopes = itertools.cycle(
-            [{name: sign * leaf for name, leaf in start.items()} for sign in map(np.float32, signs)]
-        )
+        slopes = itertools.cycle([jax.tree.map(np.float32(sign).__mul__, WEIGHTS) for sign in signs])
         monkeypatch.setattr(through_world.Lesson, "slope", lambda *_, of=slopes: (next(of), 0.0))
-        through_world.train(dataclasses.replace(SHORT, updates=1), tmp_path / name, tracks=(track, track))
+        through_world.train(dataclasses.replace(SHORT, updates=1), tmp_path / name, tracks=(TRACK, TRACK))
         trained = load(tmp_path / name / "policy.npz").weights
-        assert (trained["gate"] != start["gate"]).all() == (trained["again"] != start["again"]).any() == moves
+        assert (trained["gate"] != WEIGHTS["gate"]).all() == (trained["again"] != WEIGHTS["again"]).any() == moves
 
 
 def test_a_run_that_gets_worse_keeps_its_best_weights(tmp_path, monkeypatch):
-    start = recurrent.initial_weights(np.random.default_rng(SHORT.seed), 4, 3)
-    downwards, moves = jax.tree.map(jax.numpy.ones_like, start), []
+    downwards, moves = jax.tree.map(jax.numpy.ones_like, WEIGHTS), []
     for name, digits in (("rises", range(40)), ("falls", [*range(20), *range(0, -20, -1)])):
         following = iter(digits)
         monkeypatch.setattr(through_world.Lesson, "slope", lambda *_, of=following: (downwards, float(next(of))))
         through_world.train(dataclasses.replace(SHORT, updates=40), tmp_path / name)
-        moves.append(float((start["gate"] - load(tmp_path / name / "policy.npz").weights["gate"]).mean()))
+        moves.append(float((WEIGHTS["gate"] - load(tmp_path / name / "policy.npz").weights["gate"]).mean()))
     assert moves[0] > 1.2 * moves[1] > 0
     monkeypatch.setattr(through_world.Lesson, "slope", lambda *_: (downwards, -1.0))
-    (tmp_path / "falls" / "summary.json").unlink()  # as if it was interrupted after thirty updates
-    before = load(tmp_path / "falls" / "policy.npz")
-    half = recurrent.sealed(before.weights, before.training | {"done": 30})
-    (tmp_path / "falls" / "policy.npz").write_bytes(half)
-    through_world.train(dataclasses.replace(SHORT, updates=40), tmp_path / "falls")
-    np.testing.assert_equal(load(tmp_path / "falls" / "policy.npz").weights, before.weights)
+    file = tmp_path / "falls" / "policy.npz"
+    before = load(file)
+    file.with_name("summary.json").unlink()  # as if it was interrupted after thirty updates
+    file.write_bytes(recurrent.sealed(before.weights, before.training | {"done": 30}))
+    through_world.train(dataclasses.replace(SHORT, updates=40), file.parent)
+    np.testing.assert_equal(load(file).weights, before.weights)

@@ -34,10 +34,7 @@ STAGES = {
     "uniform levels": channel_part("UniformQuantiser", width=0.25),
     "range": channel_part("Range", limit=2.0),
 }
-CHANNELS = STAGES | {
-    "everything": EVERY_FAULT,
-    "nothing": channel_part("Chain", stages=()),
-}
+CHANNELS = STAGES | {"everything": EVERY_FAULT, "nothing": channel_part("Chain", stages=())}
 
 
 def wandering(scenario, batch, steps=None, seed=0):

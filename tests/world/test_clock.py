@@ -3,12 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ptne_env.world.clock import (
-    Exponential,
-    HyperbolicTangent,
-    Rational,
-    StepClock,
-)
+from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational, StepClock
 
 TRANSFORMATIONS = [Exponential, Rational, HyperbolicTangent]
 SPACINGS = ["effective", "transformed", "physical"]

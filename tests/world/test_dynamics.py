@@ -4,16 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.linalg import expm
-from worlds import (
-    BLOCKS,
-    BLOCKS_SWITCHING,
-    FAULTY,
-    begin,
-    large_energy_scenario,
-    loop_matrix,
-    quantity,
-    stack,
-)
+from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, large_energy_scenario, loop_matrix, quantity, stack
 
 from ptne_env import FactorySpec, get_scenario
 from ptne_env.shared.random_streams import RandomStreams
@@ -115,10 +106,7 @@ def test_halving_the_step_halves_the_distance_to_the_continuous_solution(scenari
 
 
 def test_padded_slots_hold_the_player_itself_with_weight_zero():
-    star = get_scenario(
-        "energy",
-        topology=FactorySpec.of("ptne_env.world.graphs:star", players=5),
-    )
+    star = get_scenario("energy", topology=FactorySpec.of("ptne_env.world.graphs:star", players=5))
     world = World(star)
     assert world.slots == 4
     assert world.neighbours[:, 0].tolist() == [1, 2, 3, 4]

@@ -168,8 +168,8 @@ class Lesson:
             inputs = jnp.where(self._stranger.reshape(-1), theirs, inputs)
         state = world.step(state, inputs.reshape(*state.estimates.shape).astype(jnp.float64))
         # The loss of a step has a slope of the order of one over the distance.
-        distance = jnp.sqrt((without_gradient(state.estimates - state.game.nash_equilibria[:, None]) ** 2).sum((0, 1)))
-        bound = 1 / (self.envs * jnp.maximum(distance, distances.FLOOR))
+        distance = jnp.sqrt(distances.player_squares(state.estimates, state.game).sum(0))
+        bound = without_gradient(1 / (self.envs * jnp.maximum(distance, distances.FLOOR)))
         estimates, own_gradients = (_short(each, shrink, bound) for each in (state.estimates, state.own_gradients))
         state = state._replace(estimates=estimates, own_gradients=own_gradients)
         if state.received is not None:
