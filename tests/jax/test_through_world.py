@@ -29,7 +29,8 @@ def test_the_network_is_the_same_in_numpy_and_jax():
     layout, policy = world.layout, recurrent.RecurrentPolicy("mine", WEIGHTS, world.layout, {})
     encoder = make_encoder(world.numpy, layout.interface)
     state = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
-    player, memory, memories = np.repeat(np.arange(5), 3), None, recurrent.initial_memory(WEIGHTS, layout, 15, np)
+    player, memory = np.repeat(np.arange(5), 3), None
+    memories = recurrent.initial_memory(WEIGHTS, layout, 15, jax.numpy)
     for _ in range(6):
         actions, memory = policy.predict(encoder.observe(state).reshape(15, -1), memory)
         observed = world.observe(world.state(state)).reshape(layout.size, -1)
