@@ -33,7 +33,7 @@ Weights = dict[str, Any]
 Memory = dict[str, Any]
 """What players remember: hidden states, and the observation and displacement of the step before; zeros at a start."""
 
-SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS, HEADS = 8, 7, 12, 3, 4
+SLOT_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS, HEADS = 12, 7, 12, 3, 4
 
 _ZERO = "out_bias", "query"
 """The weights that are 0 at the start."""
@@ -247,6 +247,10 @@ def _features(
     message_range = np.log10(min(layout.message_range, 1e6)).astype(np.float32) - log_scale
     slots = [relative, _magnitude(relative), _soft(change), _magnitude(change) * known]
     slots += [live[:, None], known, seen.leads, seen.own]
+    # The mean change of all components of a message, and of the sender's own.
+    for shares in (1 / change.shape[1], seen.leads / xp.maximum(seen.leads.sum(1), 1)[:, None]):
+        mean_change = ordered_sum(change * shares, 1)[:, None]
+        slots += [_soft(mean_change), _magnitude(mean_change) * known]
     components = [gradient, _magnitude(gradient) * own, _soft(turn), _magnitude(turn) * own]
     components += [_soft(moved), _magnitude(moved), own]
     players = [log_scale / 10, xp.clip(log_scale - memory["log_scale"], -1, 1) * started]
@@ -298,7 +302,7 @@ def _gated(inputs: Any, weights: Any, hidden: Any) -> Any:
 LARGEST_UNPACKED = 16 << 20
 """Bytes of the weights in the largest file that is read; the shipped ones have 70 kB."""
 
-_METADATA, _VERSION = "metadata", 2
+_METADATA, _VERSION = "metadata", 3
 
 
 class RecurrentPolicy:
