@@ -67,7 +67,8 @@ def test_actions_of_a_network_that_does_not_know_costs_do_not_depend_on_their_un
 def test_a_neighbour_is_known_by_all_that_it_says():
     """A message about one component changes how much its sender is heard about the others, at once and by memory."""
     env = ptne_env.parallel_env("random-energy", interface="physical")
-    policy = opened().with_layout(env.layout)
+    weights = WEIGHTS | {"message": np.ones_like(WEIGHTS["message"])}
+    policy = recurrent.RecurrentPolicy("mine", weights, env.layout, {})
     rows = np.stack(list(env.reset(seed=0)[0].values()))
     other = rows.copy()
     other[0, env.layout.slices["relative_estimates"].start] /= 2  # not the largest difference, which sets the scale
