@@ -326,10 +326,10 @@ itself for 92,160 ([marl.md](marl.md)).
 {2}
 
 "Every law" is every entry. Laws were also tuned on validation episodes of these tracks, and played on fresh ones beside
-the network. Its lead holds on `switching-physical`, `strangers` and, narrowly, `rough-links`. On `monotone` the best
-laws are level by the mean, and far behind in their worst tenth. On `short-deadline` `contact-relay` with the constants
-of its constructor is ahead. Outside of the suite it loses to `routed-unknown` among 30 players with fast random links,
-and to `contact-relay` under very loud noise.
+the file before the last run. Its lead held on `switching-physical`, `strangers` and, narrowly, `rough-links`. On
+`monotone` the best laws were level by the mean, and far behind in their worst tenth. On `short-deadline`
+`contact-relay` with the constants of its constructor was ahead. Outside of the suite it lost to `routed-unknown` among
+30 players with fast random links, and to `contact-relay` under very loud noise.
 
 The second specialist and the generalist were trained by a development version of the loop, with the same settings, and
 are not reproduced bit for bit by their recipes. It did not bound gradients through messages on the way.
