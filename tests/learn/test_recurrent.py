@@ -67,14 +67,14 @@ def test_actions_of_a_network_that_does_not_know_costs_do_not_depend_on_their_un
 def test_a_neighbour_is_known_by_all_that_it_says():
     """A message about one component changes how much its sender is heard about the others, at once and by memory."""
     env = ptne_env.parallel_env("random-energy", interface="physical")
-    weights = WEIGHTS | {"message": np.ones_like(WEIGHTS["message"])}
-    policy = recurrent.RecurrentPolicy("mine", weights, env.layout, {})
+    weights = WEIGHTS | {"message": np.ones_like(WEIGHTS["message"])}  # they are 0 in the other, which has only memory
+    policies = recurrent.RecurrentPolicy("mine", weights, env.layout, {}), opened().with_layout(env.layout)
     rows = np.stack(list(env.reset(seed=0)[0].values()))
     other = rows.copy()
     other[0, env.layout.slices["relative_estimates"].start] /= 2  # not the largest difference, which sets the scale
-    (_, memory, _), (_, changed, _) = policy.decide(rows), policy.decide(other)
-    before = policy.decide(rows, memory)[2]
-    for after in (policy.decide(other, memory)[2], policy.decide(rows, changed)[2]):
+    for policy, first, second in zip(policies, (rows, other), (other, rows), strict=True):
+        before = policy.decide(rows, policy.decide(rows)[1])[2]
+        after = policy.decide(second, policy.decide(first)[1])[2]
         shares = [each[0, 0, 1:] / each[0, 1, 1:] for each in (before, after)]  # of attention, whatever the amplitude
         assert (np.abs(shares[0] - shares[1]) > 1e-4 * shares[0]).all()
         np.testing.assert_array_equal(before[1:], after[1:])
