@@ -70,10 +70,7 @@ EVERY_FAULT = channel_part(
         channel_part("Delay", steps=0, longest=3),
         channel_part(
             "Chain",
-            stages=(
-                channel_part("BurstLoss", to_bad=0.1, to_good=0.4),
-                channel_part("UniformQuantiser", width=0.03),
-            ),
+            stages=(channel_part("BurstLoss", to_bad=0.1, to_good=0.4), channel_part("UniformQuantiser", width=0.03)),
         ),
     ),
 )

@@ -38,6 +38,9 @@ SLOT_FEATURES, MESSAGE_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS, H
 _ZERO = "out_bias", "query", "message"
 """The weights that are 0 at the start. With others of messages, one training seed in five fell behind by 2 digits."""
 
+GIVEN = "knows_costs", "action_repeat"
+"""The entries that are not learned."""
+
 
 class Seen(NamedTuple):
     """What players observe, in natural units.
@@ -85,18 +88,21 @@ def initial_weights(
     hidden: int = 32,
     slot_hidden: int = 16,
     knows_costs: bool = True,  # noqa: FBT001, FBT002 - by name
+    action_repeat: int = 1,
 ) -> Weights:
     """Random weights of a network with some hidden units per component, and per component of each neighbour.
 
     A network that knows costs has learned their unit from its worlds. Actions of another do not depend on that unit:
-    it counts the largest gradient so far as the largest difference so far.
+    it counts the largest gradient so far as the largest difference so far. Players decide in every step, or hold each
+    action for several.
     """
     weights = {
         name: (generator.normal(size=shape) / math.sqrt(shape[-1]) * (name not in _ZERO)).astype(np.float32)
         for name, shape in _shapes(hidden, slot_hidden).items()
-        if name != "knows_costs"
+        if name not in GIVEN
     }
-    return weights | {"knows_costs": np.full(1, knows_costs, dtype=np.float32)}
+    given = zip(GIVEN, (knows_costs, action_repeat), strict=True)
+    return weights | {name: np.full(1, value, dtype=np.float32) for name, value in given}
 
 
 def _shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
@@ -117,7 +123,7 @@ def _shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
         "query": (HEADS, hidden),
         "out_bias": (OUTPUTS, 1),
         "message": (3, slot_hidden, MESSAGE_FEATURES),
-        "knows_costs": (1,),
+        **dict.fromkeys(GIVEN, (1,)),
     }
 
 
@@ -302,7 +308,7 @@ def _gated(inputs: Any, weights: Any, hidden: Any) -> Any:
 LARGEST_UNPACKED = 16 << 20
 """Bytes of the weights in the largest file that is read; the shipped ones have 80 to 170 kB."""
 
-_METADATA, _VERSION = "metadata", 3
+_METADATA, _VERSION = "metadata", 4
 
 
 class RecurrentPolicy:
@@ -360,10 +366,22 @@ class RecurrentPolicy:
         player = columns[layout.slices["player"]].argmax(0)
         if memory is None:
             memory = initial_memory(self.weights, layout, len(rows))
+            shapes = {"waits": (), "inputs": (layout.dimension,), "gates": (layout.slots, layout.dimension)}
+            memory |= {name: np.zeros((*shape, len(rows)), dtype=np.float32) for name, shape in shapes.items()}
         elif starts is not None and np.any(starts):
             memory = {name: np.where(starts, np.float32(0), value) for name, value in memory.items()}
-        inputs, memory, gates = decide(self.weights, layout, read(layout, columns, player), memory)
-        return np.ascontiguousarray(inputs.T), memory, np.moveaxis(gates, -1, 0)
+        repeat, waits = float(self.weights["action_repeat"][0]), memory["waits"]
+        if not waits.all():
+            # Θ_k and Δt_k/T of the steps for which the action is held.
+            seen = read(layout, columns, player)
+            seen = seen._replace(clock=seen.clock * np.array([[1], [1], [repeat], [repeat]], dtype=np.float32))
+            inputs, after, gates = decide(self.weights, layout, seen, memory)
+            after |= {"waits": np.full_like(waits, repeat), "inputs": inputs, "gates": gates}
+            if waits.any():  # players whose episodes began at other times
+                after = {name: np.where(waits > 0, memory[name], value) for name, value in after.items()}
+            memory = after
+        memory = memory | {"waits": memory["waits"] - 1}
+        return memory["inputs"].T.copy(), memory, np.moveaxis(memory["gates"], -1, 0).copy()
 
 
 def sealed(weights: Weights, training: Mapping[str, Any]) -> bytes:
@@ -395,6 +413,7 @@ def opened(path: Path, content: bytes) -> RecurrentPolicy:
         _require(same and all(each.dtype == np.float32 for each in weights.values()), "its weights have other shapes")
         _require(_digest(weights, description["training"]) == description["sha256"], "it has another SHA-256")
         _require(all(np.isfinite(each).all() for each in weights.values()), "a weight is not finite")
+        _require(weights["action_repeat"][0] in range(1, 101), "it holds actions for no number of steps from 1 to 100")
     except Exception as error:  # zip files raise many classes
         raise PolicyFileError(f"{path} is damaged, or no recurrent policy of this library: {error}") from error
     return RecurrentPolicy(path.stem, weights, None, description["training"])

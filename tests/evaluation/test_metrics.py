@@ -17,11 +17,7 @@ def test_every_metric_of_a_run_lies_in_its_range():
 
 @pytest.mark.parametrize(
     ("metric", "good", "bad"),
-    [
-        ("digits", 12.0, 12.1),
-        ("settling_time", 0.0, -1.0),
-        ("settled_share", 1.0, 1.5),
-    ],
+    [("digits", 12.0, 12.1), ("settling_time", 0.0, -1.0), ("settled_share", 1.0, 1.5)],
 )
 def test_metrics_refuse_values_outside_their_range(metric, good, bad):
     assert METRICS[metric].admits(np.array([good, np.nan]))

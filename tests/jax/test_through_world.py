@@ -22,6 +22,7 @@ SHORT = through_world.Settings(
 SCENARIO = ptne_env.get_scenario("random-energy-switching", steps=20)
 TRACK = through_world.Track("energy", SCENARIO, "")
 WEIGHTS = recurrent.initial_weights(np.random.default_rng(SHORT.seed), 4, 3)
+UPWARDS = {name: np.full_like(each, name not in recurrent.GIVEN) for name, each in WEIGHTS.items()}
 
 
 def test_the_network_is_the_same_in_numpy_and_jax():
@@ -38,6 +39,12 @@ def test_the_network_is_the_same_in_numpy_and_jax():
         by_row = np.asarray(again).reshape(5, 5, 3).transpose(2, 1, 0).reshape(15, 5)
         np.testing.assert_allclose(actions, by_row, rtol=1e-3, atol=1e-4 * np.abs(actions).max())
         state = dynamics.step(world.numpy, state, encoder.decode(actions.reshape(3, 5, 5), state))
+
+
+def test_steps_in_training_are_as_long_as_actions_are_held():
+    settings = dataclasses.replace(SHORT, action_repeat=3)
+    assert through_world.Lesson(TRACK, settings, jax.random.key(0)).world.numpy.clock.steps == 7
+    assert through_world._start(settings)["action_repeat"] == 3
 
 
 def test_gradients_are_finite_where_nothing_is_left_to_do():
@@ -105,7 +112,7 @@ def test_a_run_learns_and_goes_on_after_an_interruption(tmp_path):
 
 def test_an_update_follows_the_mean_slope_of_all_worlds(tmp_path, monkeypatch):
     for name, factors, moves in (("opposite", (0.001, -0.001), False), ("alike", (0.001, 0.001), True)):
-        slopes = itertools.cycle([jax.tree.map(np.float32(factor).__mul__, WEIGHTS) for factor in factors])
+        slopes = itertools.cycle([jax.tree.map(np.float32(factor).__mul__, UPWARDS) for factor in factors])
         monkeypatch.setattr(through_world.Lesson, "slope", lambda *_, of=slopes: (next(of), 0.0))
         through_world.train(dataclasses.replace(SHORT, updates=1), tmp_path / name, tracks=(TRACK, TRACK))
         trained = load(tmp_path / name / "policy.npz").weights
@@ -113,14 +120,14 @@ def test_an_update_follows_the_mean_slope_of_all_worlds(tmp_path, monkeypatch):
 
 
 def test_a_run_that_gets_worse_keeps_its_best_weights(tmp_path, monkeypatch):
-    downwards, moves = jax.tree.map(jax.numpy.ones_like, WEIGHTS), []
+    moves = []
     for name, digits in (("rises", range(40)), ("falls", [*range(20), *range(0, -20, -1)])):
         following = iter(digits)
-        monkeypatch.setattr(through_world.Lesson, "slope", lambda *_, of=following: (downwards, float(next(of))))
+        monkeypatch.setattr(through_world.Lesson, "slope", lambda *_, of=following: (UPWARDS, float(next(of))))
         through_world.train(dataclasses.replace(SHORT, updates=40), tmp_path / name)
         moves.append(float((WEIGHTS["gate"] - load(tmp_path / name / "policy.npz").weights["gate"]).mean()))
     assert moves[0] > 1.2 * moves[1] > 0
-    monkeypatch.setattr(through_world.Lesson, "slope", lambda *_: (downwards, -1.0))
+    monkeypatch.setattr(through_world.Lesson, "slope", lambda *_: (UPWARDS, -1.0))
     file = tmp_path / "falls" / "policy.npz"
     before = load(file)
     file.with_name("summary.json").unlink()  # as if it was interrupted after thirty updates

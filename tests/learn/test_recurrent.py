@@ -95,6 +95,30 @@ def test_components_follow_the_moves_of_others_by_learned_shares():
     assert not recurrent.RecurrentPolicy("mine", weights, env.layout, {}).decide(at_rest)[0].any()
 
 
+def test_an_action_is_held_for_the_steps_of_the_file_also_where_another_episode_starts():
+    env = ptne_env.parallel_env("random-energy", interface="physical")
+    weights = WEIGHTS | {"action_repeat": np.full(1, 3, dtype=np.float32)}
+    policy = recurrent.RecurrentPolicy("mine", weights, env.layout, {})
+    rows = np.stack([*env.reset(seed=0)[0].values()])
+    first, memory = policy.predict(rows)
+    second, memory = policy.predict(rows / 2, memory, np.arange(5) == 0)
+    np.testing.assert_array_equal(second, [policy.predict(rows[0] / 2)[0], *first[1:]])
+    third, memory = policy.predict(rows / 3, memory)
+    np.testing.assert_array_equal(third, second)
+    fourth, _ = policy.predict(rows / 4, memory)
+    np.testing.assert_array_equal((fourth != third).any(1), np.arange(5) > 0)
+
+
+def test_a_policy_that_holds_its_actions_plays_as_in_a_world_with_long_steps():
+    name = "random-energy-switching"
+    held = learn.load(f"recurrent-{name}")
+    free = recurrent.RecurrentPolicy("free", held.weights | {"action_repeat": np.ones(1, dtype=np.float32)}, None, {})
+    long = ptne_env.get_scenario(name, name="long", steps=100)
+    found = ptne_env.evaluate({"held": held, "free": free}, [name, long], episodes=20)
+    digits = [found.record(world, policy, "digits")["mean"] for world, policy in ((name, "held"), ("long", "free"))]
+    assert abs(digits[0] - digits[1]) < 0.3 < found.record(name, "held", "digits")["mean"] - 4
+
+
 def test_a_loaded_policy_has_the_digits_of_its_file_in_every_world(tmp_path):
     (tmp_path / "file.npz").write_bytes(CONTENT)
     specs = [ptne_env.PolicySpec("object", opened()), ptne_env.evaluation.get_policy_spec(str(tmp_path / "file.npz"))]
@@ -117,7 +141,7 @@ def test_a_file_with_a_damaged_byte_is_refused_or_plays_the_same():
     assert refused > 250
 
 
-def sealed_with(version=3, **changes):
+def sealed_with(version=4, **changes):
     """A file whose SHA-256 is right, with some weights changed."""
     weights, buffer = WEIGHTS | changes, io.BytesIO()
     described = {"version": version, "training": {}, "sha256": recurrent._digest(weights, {})}
@@ -133,6 +157,7 @@ def sealed_with(version=3, **changes):
         (sealed_with(gate=np.zeros((1, 5), dtype=np.float32)), "other shapes"),
         (sealed_with(more=np.zeros(1, dtype=np.float32)), "other shapes"),
         (sealed_with(gate=WEIGHTS["gate"] * np.nan), "not finite"),
+        (sealed_with(action_repeat=np.full(1, 0.5, dtype=np.float32)), "for no number of steps"),
         (sealed_with(again=np.zeros((3, 2000, 2000), dtype=np.float32)), "unpacks to more than 16 MiB"),
         (sealed_with(gate=np.array([print])), "Object arrays cannot be loaded"),
     ],

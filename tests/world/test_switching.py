@@ -25,10 +25,7 @@ def test_paper_topology_has_four_disconnected_modes_with_union_cycle():
     assert topology.mean_dwell == pytest.approx(0.1)
 
 
-@given(
-    st.lists(st.floats(0.05, 2.0), min_size=2, max_size=5),
-    st.lists(st.floats(0.0, 50.0), min_size=1, max_size=20),
-)
+@given(st.lists(st.floats(0.05, 2.0), min_size=2, max_size=5), st.lists(st.floats(0.0, 50.0), min_size=1, max_size=20))
 def test_schedule_agrees_with_a_walk_through_the_dwells(dwells, instants):
     topology = SwitchingTopology([graphs.path(3)] * len(dwells), dwells)
     schedule = topology.schedule(instants)

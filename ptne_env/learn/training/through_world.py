@@ -29,6 +29,7 @@ from ptne_env.bench.suite import find_scenario
 from ptne_env.evaluation.tracks import Track
 from ptne_env.learn.learned import load
 from ptne_env.learn.recurrent import (
+    GIVEN,
     RecurrentPolicy,
     Weights,
     decide,
@@ -66,6 +67,7 @@ class Settings:
         slot_hidden: units per component of each neighbour.
         seed: of weights and episodes.
         knows_costs: whether it learns the unit of costs; otherwise its actions do not depend on that unit.
+        action_repeat: steps for which an action is held. Training takes steps of that length, for longer windows.
         start: file or name of a recurrent policy, from whose weights it starts; from random ones if empty.
 
     Raises:
@@ -83,10 +85,11 @@ class Settings:
     slot_hidden: int = 16
     seed: int = 0
     knows_costs: bool = True
+    action_repeat: int = 1
     start: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("updates", "cells", "window", "hidden", "slot_hidden"):
+        for name in ("updates", "cells", "window", "hidden", "slot_hidden", "action_repeat"):
             require_count(name, getattr(self, name), 1)
         require_count("seed", self.seed, 0)
         require_positive("rate", self.rate)
@@ -105,7 +108,8 @@ class Lesson:
 
     def __init__(self, track: Track, settings: Settings, key: Any) -> None:
         self._settings = settings
-        self.world = ptne_env.jax.world(track.scenario, interface="physical", pool=256)
+        steps = math.ceil(track.scenario.steps / settings.action_repeat)
+        self.world = ptne_env.jax.world(track.scenario, interface="physical", pool=256, steps=steps)
         layout = self.world.layout
         self.envs = max(2, round(settings.cells / (layout.num_players * layout.dimension)))
         self.agent_steps = settings.window * self.envs * layout.num_players
@@ -273,14 +277,14 @@ def train(
 
 def _start(settings: Settings) -> Weights:
     """The weights from which a run starts."""
-    generator = np.random.default_rng(settings.seed)
-    weights = initial_weights(generator, settings.hidden, settings.slot_hidden, settings.knows_costs)
+    generator, sizes = np.random.default_rng(settings.seed), (settings.hidden, settings.slot_hidden)
+    weights = initial_weights(generator, *sizes, settings.knows_costs, settings.action_repeat)
     if not settings.start:
         return weights
     start = load(settings.start)
     if not isinstance(start, RecurrentPolicy):
         raise ValueError(f"{settings.start} has no memory: a run starts from the weights of a recurrent policy")
-    return start.weights | {"knows_costs": weights["knows_costs"]}
+    return start.weights | {name: weights[name] for name in GIVEN}
 
 
 @partial(jax.jit, static_argnums=0)
