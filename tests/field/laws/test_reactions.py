@@ -177,7 +177,7 @@ def test_joint_solution_of_all_planes_is_the_equilibrium():
 
 def test_joint_solution_is_not_trusted_while_planes_or_predictions_err():
     known = planes_after(20)
-    assert not solve(known, doubt=0.5)[1]
-    assert not solve(known._replace(error=np.full((1, 2), 0.5)))[1]
+    assert not solve(known, doubt=1.5)[1]
+    assert not solve(known._replace(error=np.full((1, 2), 1.5)))[1]
     point, _ = solve(planes_after(2))  # few samples
     assert point[2:] == pytest.approx(EQUILIBRIUM[2:] + 1.0)
