@@ -351,8 +351,8 @@ and 3.04). Outside of the suite the file before the last run lost to `routed-unk
 links, and to `contact-relay` under very loud noise.
 
 The second specialist and the generalist were trained by development versions of the loop, with the same settings, and
-are not reproduced bit for bit by their recipes. Those of the generalist did not bound gradients through messages, except
-in the last run.
+are not reproduced bit for bit by their recipes. Those of the generalist did not bound gradients through messages,
+except in the last run.
 """
 
 

@@ -10,6 +10,7 @@ jax = pytest.importorskip("jax")
 import numpy as np
 
 import ptne_env.jax
+from ptne_env.bench import get_suite
 from ptne_env.learn import load, recurrent
 from ptne_env.learn.training import through_world
 from ptne_env.perception.encoder import make_encoder
@@ -42,8 +43,8 @@ def test_the_network_is_the_same_in_numpy_and_jax():
 
 
 def test_steps_in_training_are_as_long_as_actions_are_held():
-    settings = dataclasses.replace(SHORT, action_repeat=3)
-    assert through_world.Lesson(TRACK, settings, jax.random.key(0)).world.numpy.clock.steps == 7
+    track, settings = get_suite("ptne-v1").track("short-deadline"), dataclasses.replace(SHORT, action_repeat=3)
+    assert through_world.Lesson(track, settings, jax.random.key(0)).world.numpy.clock.steps == 10
     assert through_world._start(settings)["action_repeat"] == 3
 
 
