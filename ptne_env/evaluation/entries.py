@@ -275,7 +275,7 @@ _OTHERS = {
     "contact-relay": _entry(
         "law:contact-relay",
         "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
-        patience=30.0,  # with 12.6, the best on noisy tracks, it has a digit less where the deadline is short
+        patience=12.6,
         forgetting=5.89,
     ),
     "residual-coder": _entry(
