@@ -55,8 +55,6 @@ def table(document, header):
     raise AssertionError(f"{document.name} has no table that starts with {header!r}")
 
 
-# --- programs ---------------------------------------------------------------------------------------------------------
-
 PROGRAMS = [
     pytest.param(code, id=f"{document.stem}-{index}")
     for document in DOCUMENTS
@@ -87,9 +85,6 @@ def test_the_training_on_jax_runs_and_its_policy_can_be_compared(tmp_path):
     assert "updates=1500)\n" in code
     run_python("-W", "error", "-c", code.replace("updates=1500)\n", "updates=2)\n"), folder=tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-# --- commands ---------------------------------------------------------------------------------------------------------
 
 
 def commands(document):
@@ -129,9 +124,6 @@ def test_commands_scripts_and_make_targets_exist(document):
             assert importlib.util.find_spec(words[1]), words
 
 
-# --- links and names --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("document", PAGES, ids=by_path)
 def test_links_and_named_tests_exist(document):
     links = re.findall(r"\]\(([^)#\s]+)[^)]*\)", prose(document))
@@ -166,9 +158,6 @@ def test_files_and_objects_of_the_paper_map_exist():
     for first, last in re.findall(r"\((\d+)[a-c]?\)(?:–\((\d+)[a-c]?\))?", items):
         numbers |= set(range(int(first), int(last or first) + 1))
     assert numbers == set(range(1, 52))  # every equation of the paper
-
-
-# --- tables -----------------------------------------------------------------------------------------------------------
 
 
 def test_documents_keep_their_budgets():

@@ -48,8 +48,6 @@ def wandering(scenario, batch, steps=None, seed=0):
     return world, states
 
 
-# --- batches, seeds, policies -----------------------------------------------------------------------------------------
-
 RECEIVED = ("weights", "relative_estimates", "messages", "active_mode", "time_since_switch", "estimates")
 
 
@@ -147,9 +145,6 @@ def test_zero_faults_are_the_perfect_channel():
             states = [dynamics.step(plain, states[0], inputs[0]), dynamics.step(faulty, states[1], inputs[1])]
 
 
-# --- range ------------------------------------------------------------------------------------------------------------
-
-
 def test_messages_are_clipped_to_the_range():
     world, states = wandering(FIXED.replace(message_range=4.0), 3, steps=20)
     for state in states:
@@ -170,9 +165,6 @@ def test_noise_comes_after_the_range_and_players_know_it():
         assert make_encoder(world, Interface(kind)).layout.message_range == 4.0
         assert make_encoder(World(FIXED), Interface(kind)).layout.message_range == math.inf
     assert World(FIXED).channel.is_perfect
-
-
-# --- lies -------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scenario", [FIXED, BLOCKS_SWITCHING])
@@ -200,9 +192,6 @@ def test_one_player_lies_about_components_of_others_alone(scenario):
     assert liars == set(range(world.game.num_players))
     assert 2.5 < np.abs(told).max() < 3
     assert stats.kstest(told, stats.uniform(-3, 6).cdf).pvalue > FALSE_ALARM
-
-
-# --- statistics of draws ----------------------------------------------------------------------------------------------
 
 
 def constant_messages(batch=400, slots=2, dimension=5, players=5, value=3.0):
@@ -288,9 +277,6 @@ def test_delays_are_uniform_and_messages_overtake_each_other():
     assert constant[:, 0, 0, 0].tolist() == [0, 0, 0, 1, 2, 3, 4, 5, 6, 7]
 
 
-# --- information hidden from receivers --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", CHANNELS)
 def test_values_on_a_down_link_have_no_effect(name):
     channel, generator = build(name), np.random.default_rng(1)
@@ -334,9 +320,6 @@ def test_observation_does_not_depend_on_players_without_a_link(kind):
         assert np.array_equal(first[player], second[player])
         states = [dynamics.step(world, states[0], inputs), dynamics.step(world, states[1], others)]
     assert not np.array_equal(first[unlinked], second[unlinked])
-
-
-# --- any chain of stages ----------------------------------------------------------------------------------------------
 
 
 def test_nested_chains_are_one_chain():

@@ -11,6 +11,7 @@ import numpy as np
 
 from ptne_env.bench.report.page import Page, Part
 from ptne_env.bench.report.rendering import Renderer
+from ptne_env.bench.report.style import drawing
 from ptne_env.bench.report.traces import scene
 from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
@@ -91,12 +92,16 @@ def _pictures(
     renderer.fix_axes(states)
     renderer.reset(states[0])
     for step, state in enumerate(states):
-        if step > 0:
-            renderer.record(state)
-        if step in wanted:
-            yield renderer.draw()
-            if progress is not None:
-                progress(1 + wanted.index(step), len(wanted))
+        picture = None
+        with drawing("pictures of episodes"):  # artists of former pictures are forgotten anywhere in it
+            if step > 0:
+                renderer.record(state)
+            if step in wanted:
+                picture = renderer.draw()
+                if progress is not None:
+                    progress(1 + wanted.index(step), len(wanted))
+        if picture is not None:
+            yield picture
 
 
 def gif(pictures: Iterator[Any], per_second: int = PER_SECOND) -> bytes:
