@@ -41,6 +41,9 @@ _ZERO = "out_bias", "query", "message"
 GIVEN = "knows_costs", "action_repeat"
 """The entries that are not learned."""
 
+MOST_REPEATS = 100
+"""Steps for which an action may be held."""
+
 
 class Seen(NamedTuple):
     """What players observe, in natural units.
@@ -306,7 +309,7 @@ def _gated(inputs: Any, weights: Any, hidden: Any) -> Any:
 # The player, and its file.
 
 LARGEST_UNPACKED = 16 << 20
-"""Bytes of the weights in the largest file that is read; the shipped ones have 80 to 170 kB."""
+"""Bytes of the weights in the largest file that is read; the shipped ones have 80 to 290 kB."""
 
 _METADATA, _VERSION = "metadata", 4
 
@@ -413,7 +416,8 @@ def opened(path: Path, content: bytes) -> RecurrentPolicy:
         _require(same and all(each.dtype == np.float32 for each in weights.values()), "its weights have other shapes")
         _require(_digest(weights, description["training"]) == description["sha256"], "it has another SHA-256")
         _require(all(np.isfinite(each).all() for each in weights.values()), "a weight is not finite")
-        _require(weights["action_repeat"][0] in range(1, 101), "it holds actions for no number of steps from 1 to 100")
+        is_possible = weights["action_repeat"][0] in range(1, MOST_REPEATS + 1)
+        _require(is_possible, f"it holds actions for no number of steps from 1 to {MOST_REPEATS}")
     except Exception as error:  # zip files raise many classes
         raise PolicyFileError(f"{path} is damaged, or no recurrent policy of this library: {error}") from error
     return RecurrentPolicy(path.stem, weights, None, description["training"])

@@ -46,6 +46,8 @@ def test_steps_in_training_are_as_long_as_actions_are_held():
     track, settings = get_suite("ptne-v1").track("short-deadline"), dataclasses.replace(SHORT, action_repeat=3)
     assert through_world.Lesson(track, settings, jax.random.key(0)).world.numpy.clock.steps == 10
     assert through_world._start(settings)["action_repeat"] == 3
+    with pytest.raises(ValueError, match="action_repeat must be at most 100, got 101"):
+        dataclasses.replace(SHORT, action_repeat=101)
 
 
 def test_gradients_are_finite_where_nothing_is_left_to_do():

@@ -79,12 +79,13 @@ def drawing(purpose: str, changes: Mapping[Any, Any] = MappingProxyType({})) -> 
         from matplotlib import rc_context
     except ImportError as error:
         raise ImportError(f'{purpose} need matplotlib: pip install "ptne-env[bench]"') from error
-    with _ctrl_c_waits(), rc_context({**_STYLE, **changes}):
+    with ctrl_c_waits(), rc_context({**_STYLE, **changes}):
         yield
 
 
 @contextmanager
-def _ctrl_c_waits() -> Iterator[None]:
+def ctrl_c_waits() -> Iterator[None]:
+    """A context whose end Ctrl-C waits for, because Python may lose it where it forgets artists of matplotlib."""
     if threading.current_thread() is not threading.main_thread():  # others never see Ctrl-C
         yield
         return

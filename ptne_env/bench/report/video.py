@@ -11,7 +11,7 @@ import numpy as np
 
 from ptne_env.bench.report.page import Page, Part
 from ptne_env.bench.report.rendering import Renderer
-from ptne_env.bench.report.style import drawing
+from ptne_env.bench.report.style import ctrl_c_waits
 from ptne_env.bench.report.traces import scene
 from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
@@ -93,7 +93,7 @@ def _pictures(
     renderer.reset(states[0])
     for step, state in enumerate(states):
         picture = None
-        with drawing("pictures of episodes"):  # artists of former pictures are forgotten anywhere in it
+        with ctrl_c_waits():  # artists of former pictures are forgotten anywhere in it
             if step > 0:
                 renderer.record(state)
             if step in wanted:

@@ -44,7 +44,7 @@ _PLANE_SAMPLES, _WORST = 3, 0.1
 
 _NEAREST, _TRUSTED, _FARTHEST = 1e-9, 1.0, 0.5
 """A joint solution is followed that is farther than the first share of the largest own estimate and than so many recent
-errors, and not farther than the last share. Factors of 3, and 1e-7, gave up a digit where messages are exact."""
+errors, and not farther than the last share. With 1e-7 and 3 errors it has a digit less where messages are exact."""
 
 
 class Planes(NamedTuple):

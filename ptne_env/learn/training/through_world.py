@@ -30,6 +30,7 @@ from ptne_env.evaluation.tracks import Track
 from ptne_env.learn.learned import load
 from ptne_env.learn.recurrent import (
     GIVEN,
+    MOST_REPEATS,
     RecurrentPolicy,
     Weights,
     decide,
@@ -91,6 +92,8 @@ class Settings:
     def __post_init__(self) -> None:
         for name in ("updates", "cells", "window", "hidden", "slot_hidden", "action_repeat"):
             require_count(name, getattr(self, name), 1)
+        if self.action_repeat > MOST_REPEATS:
+            raise ValueError(f"action_repeat must be at most {MOST_REPEATS}, got {self.action_repeat}")
         require_count("seed", self.seed, 0)
         require_positive("rate", self.rate)
         for name in ("shrink", "memory_shrink"):
