@@ -132,10 +132,10 @@ def by_track(found: Published, suite: str, policies: Sequence[str]) -> str:
     return markdown([suite.replace("comparison", "scenario"), *policies], rows)
 
 
-def best_law(found: Published, suite: str, track: str) -> tuple[str, Row]:
-    """The best law of a track, and its digits."""
+def best_law(found: Published, suite: str, track: str, without: str = "") -> tuple[str, Row]:
+    """The best law of a track, perhaps but one, and its digits."""
     metric = "score" if track == ALL else "digits"
-    laws = [name for name in found.names("policy", suite) if POLICIES[name].is_law]
+    laws = [name for name in found.names("policy", suite) if POLICIES[name].is_law and name != without]
     cells = {name: found.cell(suite, track, name, metric) for name in laws}
     rows = {name: cell for name, cell in cells.items() if cell is not None}
     return max(rows.items(), key=lambda item: float(item[1]["mean"]))

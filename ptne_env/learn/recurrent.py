@@ -33,7 +33,7 @@ Weights = dict[str, Any]
 Memory = dict[str, Any]
 """What players remember: hidden states, and the observation and displacement of the step before; zeros at a start."""
 
-SLOT_FEATURES, MESSAGE_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS, HEADS = 8, 4, 7, 12, 3, 4
+SLOT_FEATURES, MESSAGE_FEATURES, COMPONENT_FEATURES, PLAYER_FEATURES, OUTPUTS, HEADS = 9, 4, 8, 13, 3, 4
 
 _ZERO = "out_bias", "query", "message"
 """The weights that are 0 at the start. With others of messages, one training seed in five fell behind by 2 digits."""
@@ -167,7 +167,7 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
     held, largest = _held(watched, memory), _largest(watched, memory)
     is_given = (without_gradient(weights["knows_costs"]) > 0) | (largest.min(0) == 0)
     unit = xp.where(is_given, 1, largest[0] / xp.where(largest[1] > 0, largest[1], 1)).astype(np.float32)
-    scale, slots, messages, components, players = _features(layout, watched, memory, held, unit)
+    nearest, scale, slots, messages, components, players = _features(layout, watched, memory, held, unit)
     hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
     # A neighbour is known by all its messages: on average, and those about the player itself.
     own = seen.own / seen.own.sum(0)
@@ -196,7 +196,7 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
     amplitude, rate, free = _linear(weights["out"], hidden) + weights["out_bias"][:, :, None]
     gates = (1 + xp.tanh(amplitude)) * attention
     step = 0.3 * xp.exp(xp.clip(rate, -7, 3)) * unit * seen.gradient
-    wanted = ordered_sum(gates * seen.relative, 0) - step + 0.1 * free * scale
+    wanted = ordered_sum(gates * seen.relative, 0) - step + 0.1 * free * nearest
     # Linear attention: a component follows moves of the others by learned shares of their mean.
     moves = xp.clip(wanted * (1 - held * seen.own), -3 * scale, 3 * scale)
     news = ordered_sum(xp.tanh(_linear(weights["key"], hidden)) * moves, 1) / len(own)
@@ -239,7 +239,11 @@ def _largest(seen: Seen, memory: Memory) -> Any:
 
 
 def _features(layout: ObservationLayout, seen: Seen, memory: Memory, held: Any, of_cost: Any) -> tuple[Any, ...]:
-    """σ_i, shape (M,), and features per slot, (F, D, n, M), message, (F, D, M), component, (F, n, M), and player."""
+    """Features per slot, (F, D, n, M), message, (F, D, M), component, (F, n, M), and player, after two units, (M,).
+
+    The units are σ_i, the largest difference to a neighbour or gradient, and that to the nearest neighbour. A neighbour
+    that lies is far away for ever: in σ_i alone, all else would vanish beside it.
+    """
     xp = array_namespace(seen.gradient)
     live, started = seen.live.astype(np.float32), memory["started"]
     known, links, own = (live * memory["heard"])[:, None], live.sum(0), seen.own
@@ -248,6 +252,9 @@ def _features(layout: ObservationLayout, seen: Seen, memory: Memory, held: Any, 
     largest = xp.maximum(xp.abs(free_gradient).max(0), xp.abs(seen.relative).max((0, 1)))
     scale = xp.maximum(largest, 1e-30)
     unit = 1 / scale
+    near = xp.where(seen.live, xp.abs(seen.relative).max(1), np.float32(np.inf)).min(0)
+    near = xp.maximum(xp.abs(free_gradient).max(0), xp.where(links > 0, near, 0))
+    nearest = xp.maximum(near, 1e-6 * scale)
     relative, change = seen.relative * unit, (seen.relative - memory["relative"]) * known * unit
     gradient, moved = free_gradient * unit, memory["moved"] * unit
     turn = (free_gradient - before) * (unit * started)
@@ -255,22 +262,26 @@ def _features(layout: ObservationLayout, seen: Seen, memory: Memory, held: Any, 
     farthest = xp.log10(layout.input_limit * theta) - log_scale
     message_range = np.log10(min(layout.message_range, 1e6)).astype(np.float32) - log_scale
     slots = [relative, _magnitude(relative), _soft(change), _magnitude(change) * known]
-    slots += [live[:, None], known, seen.leads, seen.own]
+    slots += [live[:, None], known, seen.leads, seen.own, _soft(seen.relative / nearest)]
     # The mean change of all components of a message, and of the sender's own.
     shares = 1 / change.shape[1], seen.leads / xp.maximum(seen.leads.sum(1), 1)[:, None]
     changes = [ordered_sum(change * share, 1) for share in shares]
     messages = [*map(_soft, changes), *(_magnitude(each) * known[:, 0] for each in changes)]
     components = [gradient, _magnitude(gradient) * own, _soft(turn), _magnitude(turn) * own]
-    components += [_soft(moved), _magnitude(moved), own]
+    components += [_soft(moved), _magnitude(moved), own, _soft(memory["moved"] / nearest)]
     players = [log_scale / 10, xp.clip(log_scale - memory["log_scale"], -1, 1) * started]
     players += [seen.clock[0], seen.clock[1] / (layout.largest_clock[1] or 1.0), xp.log10(theta), seen.age]
     players += [links / 4, xp.clip(farthest, -1, 3) / 2, xp.clip(message_range, 0, 12) / 12, started]
     # The number of players is not among them: networks fail among more players than they were trained with if it is.
-    players += [1 / xp.maximum(links, 1), np.float32(1)]
+    players += [1 / xp.maximum(links, 1), np.float32(1), xp.log10(nearest / scale) / 4]
     shapes = relative.shape, seen.live.shape, gradient.shape, scale.shape
-    return scale, *(
-        xp.stack([xp.broadcast_to(each, shape).astype(np.float32) for each in features])
-        for features, shape in zip((slots, messages, components, players), shapes, strict=True)
+    return (
+        nearest,
+        scale,
+        *(
+            xp.stack([xp.broadcast_to(each, shape).astype(np.float32) for each in features])
+            for features, shape in zip((slots, messages, components, players), shapes, strict=True)
+        ),
     )
 
 
@@ -311,7 +322,7 @@ def _gated(inputs: Any, weights: Any, hidden: Any) -> Any:
 LARGEST_UNPACKED = 16 << 20
 """Bytes of the weights in the largest file that is read; the shipped ones have 80 to 290 kB."""
 
-_METADATA, _VERSION = "metadata", 4
+_METADATA, _VERSION = "metadata", 5
 
 
 class RecurrentPolicy:

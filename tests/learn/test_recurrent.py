@@ -95,6 +95,19 @@ def test_components_follow_the_moves_of_others_by_learned_shares():
     assert not recurrent.RecurrentPolicy("mine", weights, env.layout, {}).decide(at_rest)[0].any()
 
 
+def test_a_neighbour_that_lies_does_not_set_the_unit_of_small_moves():
+    env = ptne_env.parallel_env("random-energy", interface="physical")
+    weights = WEIGHTS | {"out": WEIGHTS["out"] * 0, "out_bias": np.array([[-20], [-20], [1]], dtype=np.float32)}
+    policy = recurrent.RecurrentPolicy("mine", weights, env.layout, {})  # moves freely by one unit, and copies nothing
+    actions = []
+    for lie in (1e3, 1e6):
+        rows = np.stack([*env.reset(seed=0)[0].values()])
+        rows[:, env.layout.slices["relative_estimates"].start] += lie
+        actions.append(policy.decide(rows)[0])
+    np.testing.assert_allclose(*actions, rtol=1e-3)
+    assert (np.abs(actions) < env.layout.action_bound).all()
+
+
 def test_an_action_is_held_for_the_steps_of_the_file_also_where_another_episode_starts():
     env = ptne_env.parallel_env("random-energy", interface="physical")
     weights = WEIGHTS | {"action_repeat": np.full(1, 3, dtype=np.float32)}
@@ -140,7 +153,7 @@ def test_a_file_with_a_damaged_byte_is_refused_or_plays_the_same():
     assert refused > 250
 
 
-def sealed_with(version=4, **changes):
+def sealed_with(version=5, **changes):
     """A file whose SHA-256 is right, with some weights changed."""
     weights, buffer = WEIGHTS | changes, io.BytesIO()
     described = {"version": version, "training": {}, "sha256": recurrent._digest(weights, {})}
