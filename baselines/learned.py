@@ -405,10 +405,10 @@ on validation episodes, and played them beside the network on 200 fresh ones; no
 on `strangers` (3.71 digits and 3.56). On `switching-physical` (4.45, and a `residual-coder` 4.53), `rough-links` (2.66,
 and a `contact-relay` 2.66) and `monotone` (3.91, and an `observer-relay` 3.97) they were level by the mean, and the
 network was ahead in the worst tenth of the episodes. On `short-deadline` `contact-relay` was ahead, with the constants
-of its constructor too (2.73 and 3.04). With a patience of 30 in place of 12.6 it would have more digits in validation, 2.64 in place of 2.50 on
-average, but `curved` and `coupled` would then rank the entries too much alike (0.953, and at most 0.95 is allowed), so
-its entry waits for the next version of the suite. Outside of the suite the file before the last run lost to
-`routed-unknown` among 30 players with fast random links, and to `contact-relay` under very loud noise.
+of its constructor too (2.73 and 3.04). With a patience of 30 in place of 12.6 it would have more digits in validation,
+2.64 in place of 2.50 on average, but `curved` and `coupled` would then rank the entries too much alike (0.953, and at
+most 0.95 is allowed), so its entry waits for the next version of the suite. Outside of the suite the file before the
+last run lost to `routed-unknown` among 30 players with fast random links, and to `contact-relay` under very loud noise.
 
 The second specialist and the generalist were trained by development versions of the loop, with the same settings, and
 are not reproduced bit for bit by their recipes. Those of the generalist did not bound gradients through messages,

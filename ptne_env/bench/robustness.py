@@ -162,10 +162,12 @@ def _topology(
         return pool, "a random graph per episode"
     modes = 2 + int(drawn["modes"] * 3)
     graphs = [part("topology:edges", players=players, edges=links[mode::modes]) for mode in range(modes)]
-    # The longest step is at the start on the physical clock, and at the end on the transformed one.
+    # The longest step but the last is at the start on the physical clock, and at the end on the transformed one.
     step = (end + gain * deadline) / steps
     shortest, whole = (step / (gain + 1 / deadline), deadline) if kind == "physical" else (step, end)
     dwell = _between(drawn["dwell"], 2 * shortest, max(whole / (3 * modes), 3 * shortest))
+    if kind == "physical":  # the last step goes on to the deadline, and may be the longest
+        dwell = max(dwell, float(f"{1.01 * deadline * math.exp(step - end):.3g}"))
     periodic = part("topology:periodic", graphs=graphs, dwells=[dwell] * modes, clock=kind)
     return periodic, f"{modes} graphs in turn on the {kind} clock"
 
