@@ -166,7 +166,7 @@ def _topology(
     step = (end + gain * deadline) / steps
     shortest, whole = (step / (gain + 1 / deadline), deadline) if kind == "physical" else (step, end)
     dwell = _between(drawn["dwell"], 2 * shortest, max(whole / (3 * modes), 3 * shortest))
-    if kind == "physical":  # the last step goes on to the deadline, and may be the longest
+    if kind == "physical":  # the last step goes on to the deadline, and may be the longest; other dwells stay
         dwell = max(dwell, float(f"{1.01 * deadline * math.exp(step - end):.3g}"))
     periodic = part("topology:periodic", graphs=graphs, dwells=[dwell] * modes, clock=kind)
     return periodic, f"{modes} graphs in turn on the {kind} clock"

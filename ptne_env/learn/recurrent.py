@@ -167,7 +167,7 @@ def decide(weights: Weights, layout: ObservationLayout, seen: Seen, memory: Memo
     held, largest = _held(watched, memory), _largest(watched, memory)
     is_given = (without_gradient(weights["knows_costs"]) > 0) | (largest.min(0) == 0)
     unit = xp.where(is_given, 1, largest[0] / xp.where(largest[1] > 0, largest[1], 1)).astype(np.float32)
-    nearest, scale, slots, messages, components, players = _features(layout, watched, memory, held, unit)
+    scale, nearest, slots, messages, components, players = _features(layout, watched, memory, held, unit)
     hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
     # A neighbour is known by all its messages: on average, and those about the player itself.
     own = seen.own / seen.own.sum(0)
@@ -249,12 +249,11 @@ def _features(layout: ObservationLayout, seen: Seen, memory: Memory, held: Any, 
     known, links, own = (live * memory["heard"])[:, None], live.sum(0), seen.own
     # At a wall the gradient does not vanish, and is no measure of the distance to the equilibrium.
     free_gradient, before = (gradient * of_cost * (1 - held) for gradient in (seen.gradient, memory["gradient"]))
-    largest = xp.maximum(xp.abs(free_gradient).max(0), xp.abs(seen.relative).max((0, 1)))
-    scale = xp.maximum(largest, 1e-30)
+    steepest, far = xp.abs(free_gradient).max(0), xp.abs(seen.relative).max(1)
+    scale = xp.maximum(xp.maximum(steepest, far.max(0)), 1e-30)
     unit = 1 / scale
-    near = xp.where(seen.live, xp.abs(seen.relative).max(1), np.float32(np.inf)).min(0)
-    near = xp.maximum(xp.abs(free_gradient).max(0), xp.where(links > 0, near, 0))
-    nearest = xp.maximum(near, 1e-6 * scale)
+    near = xp.where(links > 0, xp.where(seen.live, far, np.float32(np.inf)).min(0), 0)
+    nearest = xp.maximum(xp.maximum(steepest, near), 1e-6 * scale)
     relative, change = seen.relative * unit, (seen.relative - memory["relative"]) * known * unit
     gradient, moved = free_gradient * unit, memory["moved"] * unit
     turn = (free_gradient - before) * (unit * started)
@@ -276,8 +275,8 @@ def _features(layout: ObservationLayout, seen: Seen, memory: Memory, held: Any, 
     players += [1 / xp.maximum(links, 1), np.float32(1), xp.log10(nearest / scale) / 4]
     shapes = relative.shape, seen.live.shape, gradient.shape, scale.shape
     return (
-        nearest,
         scale,
+        nearest,
         *(
             xp.stack([xp.broadcast_to(each, shape).astype(np.float32) for each in features])
             for features, shape in zip((slots, messages, components, players), shapes, strict=True)
