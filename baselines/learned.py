@@ -162,6 +162,15 @@ WORLDS = (
         channel=_noisy(0.001),
     ),
     _world(
+        "wide-ring",
+        12,
+        game=part("game:random-affine", players=12, action_dim=(4,) * 12),
+        topology=part("topology:circulant", players=12, offsets=(1,)),
+        gain=5.0,
+        steps=200,
+        channel=_noisy(0.001),
+    ),
+    _world(
         "steep",
         6,
         game=part("game:random-energy", players=6, curvature=(0.1, 20.0), coupling=(0.0, 0.1)),
@@ -185,17 +194,11 @@ ALL = "random-worlds"
 DEFAULTS = "defaults"
 """That of ``ptne train --through-world``, with all defaults."""
 
-RECIPES = {
+LONG_STEPS = {"window": 100, "memory_shrink": 0.97, "hidden": 64, "slot_hidden": 32, "action_repeat": 4}
+
+RECIPES: dict[str, dict[str, Any]] = {
     "random-energy-switching-transformed": {"updates": 1200},
-    "random-energy-switching": {
-        "updates": 2000,
-        "window": 100,
-        "memory_shrink": 0.97,
-        "rate": 4e-4,
-        "hidden": 64,
-        "slot_hidden": 32,
-        "action_repeat": 4,
-    },
+    "random-energy-switching": {"updates": 900, "rate": 4e-4, "then": {"updates": 1300, "rate": 3e-4}} | LONG_STEPS,
     DEFAULTS: {"scenario": "random-energy-switching-transformed"},
     ALL: {
         "updates": 250,
@@ -208,8 +211,8 @@ RECIPES = {
     },
 }
 """Settings of two specialists, of a user's first run, and of the generalist, whose runs go on from the shipped file.
-The scenario is that of the name, unless it is among them."""
-
+The scenario is that of the name, unless it is among them. ``then``: those of a second run from the weights of the
+first, with other episodes."""
 
 OUTSIDE = (
     ("curvatures of 0.1 to 4, not 0.5 to 2", {"game": part("game:random-energy", players=5, curvature=(0.1, 4.0))}),
@@ -233,8 +236,11 @@ def train(name: str, seeds: list[int], out: Path) -> None:
 
     tracks, folders = WORLDS + drawn(6) if name == ALL else (), [out / name / f"seed-{seed}" for seed in seeds]
     for seed, folder in zip(seeds, folders, strict=True):
-        settings = through_world.Settings(**{"scenario": name, "seed": seed} | RECIPES[name])
-        summary = through_world.train(settings, folder, show, tracks)
+        recipe = {"scenario": name, "seed": seed} | RECIPES[name]
+        if then := recipe.pop("then", {}):
+            through_world.train(through_world.Settings(**recipe), folder / "first", show, tracks)
+            recipe |= {"seed": seed + 10, "start": str(folder / "first" / through_world.POLICY)} | then
+        summary = through_world.train(through_world.Settings(**recipe), folder, show, tracks)
         print(f"{name} {seed}: {summary.digits:.2f} digits, {summary.seconds:.0f} s")
     if name != DEFAULTS:
         ship(name, folders)
@@ -250,7 +256,7 @@ def ship(name: str, folders: list[Path]) -> None:
     runs = [recurrent.opened(path, path.read_bytes()) for path in (folder / "policy.npz" for folder in folders)]
     best = max(runs, key=lambda run: float(run.training["digits"]))
     weights = best.weights
-    if best.training["start"]:
+    if name == ALL:
         before = recurrent.opened(shipped, shipped.read_bytes())
         if before.training == best.training:  # a repeated command
             return

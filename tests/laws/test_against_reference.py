@@ -44,6 +44,13 @@ CASES = [*((name, law) for name in FROM_THE_PAPER for law in LAWS), *(("energy",
 LAWS |= OTHER_GAINS
 
 
+def reference_run(name, law, input_limit=1000.0, **settings):
+    """All states of the independent loop from the paper's start."""
+    table, world = reference_loop.step_table(**settings), {"gradient": GRADIENTS[name], "graph": GRAPHS[name]}
+    start = PAPER_START.tolist()
+    return reference_loop.run(start=start, owners=range(5), law=law, table=table, input_limit=input_limit, **world)
+
+
 def assert_same_trajectory(ours, reference, tolerance=2e-6):
     reference = np.array(reference)
     assert ours.shape == reference.shape
@@ -53,14 +60,7 @@ def assert_same_trajectory(ours, reference, tolerance=2e-6):
 @pytest.mark.parametrize(("name", "law"), CASES)
 def test_law_follows_its_reference_from_the_paper_start(name, law):
     make, make_reference = LAWS[law]
-    reference = reference_loop.run(
-        start=PAPER_START.tolist(),
-        owners=range(5),
-        gradient=GRADIENTS[name],
-        graph=GRAPHS[name],
-        law=make_reference(5),
-        table=reference_loop.step_table(),
-    )
+    reference = reference_run(name, make_reference(5))
     env = make_env(name, interface="physical")
     ours, steps = play(env, make(env.layout))
     assert not steps[-1][4]["player_0"]["diverged"]
@@ -69,17 +69,10 @@ def test_law_follows_its_reference_from_the_paper_start(name, law):
 
 @pytest.mark.parametrize("name", ["energy", "energy-switching", "energy-switching-transformed"])
 def test_hold_phase_follows_the_reference(name):
-    env = make_env(name, hold_steps=50, steps=300, s_end=6.0, deadline=1.5, gain=10.0)
+    settings = {"hold_steps": 50, "steps": 300, "s_end": 6.0, "deadline": 1.5, "gain": 10.0}
+    env = make_env(name, **settings)
     ours, _ = play(env, laws.Adaptive(env.layout))
-    reference = reference_loop.run(
-        start=PAPER_START.tolist(),
-        owners=range(5),
-        gradient=GRADIENTS[name],
-        graph=GRAPHS[name],
-        law=reference_loop.Adaptive(5),
-        table=reference_loop.step_table(deadline=1.5, gain=10.0, steps=300, s_end=6.0, hold_steps=50),
-    )
-    assert_same_trajectory(ours, reference)
+    assert_same_trajectory(ours, reference_run(name, reference_loop.Adaptive(5), **settings))
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -111,15 +104,7 @@ def test_players_of_unequal_dimensions_follow_the_reference(scenario, law):
 def test_input_limit_binds_the_law_as_it_binds_its_reference():
     env = make_env("energy", input_limit=6.0)
     ours, steps = play(env, laws.Static(env.layout))
-    reference = reference_loop.run(
-        start=PAPER_START.tolist(),
-        owners=range(5),
-        gradient=GRADIENTS["energy"],
-        graph=GRAPHS["energy"],
-        law=reference_loop.Static(),
-        table=reference_loop.step_table(),
-        input_limit=6.0,
-    )
+    reference = reference_run("energy", reference_loop.Static(), input_limit=6.0)
     assert_same_trajectory(ours, reference)
     assert np.abs(np.diff(ours, axis=0)).max() == pytest.approx(6.0 * env.world.clock.theta[0], rel=1e-9)
     assert sum(info["clipped"] for step in steps for info in step[4].values()) == 0  # no law exceeds the limit
@@ -133,14 +118,7 @@ def test_adaptive_gains_are_those_of_the_reference():
     for _ in while_running(env):
         actions, memory = law.predict(np.stack(list(observations.values())), state=memory)
         observations = env.step(dict(zip(list(env.agents), actions, strict=True)))[0]
-    reference_loop.run(
-        start=PAPER_START.tolist(),
-        owners=range(5),
-        gradient=GRADIENTS["energy"],
-        graph=GRAPHS["energy-switching"],
-        law=reference,
-        table=reference_loop.step_table(),
-    )
+    reference_run("energy-switching", reference)
     assert memory.shape == (5, 2)
     for i in range(5):
         for slot, j in enumerate(env.layout.neighbours[i]):
