@@ -162,15 +162,6 @@ WORLDS = (
         channel=_noisy(0.001),
     ),
     _world(
-        "wide-ring",
-        12,
-        game=part("game:random-affine", players=12, action_dim=(4,) * 12),
-        topology=part("topology:circulant", players=12, offsets=(1,)),
-        gain=5.0,
-        steps=200,
-        channel=_noisy(0.001),
-    ),
-    _world(
         "steep",
         6,
         game=part("game:random-energy", players=6, curvature=(0.1, 20.0), coupling=(0.0, 0.1)),
@@ -285,10 +276,10 @@ def trained(name: str, out: Path) -> PolicySpec:
 
 
 def digits(results: Results, track: str, policy: str) -> str:
-    """The mean with its interval; with several training seeds also their standard deviation."""
+    """The mean with its interval; with several training seeds also their standard deviation and number."""
     record, seeds = results.record(track, policy, "digits"), results.samples[track, policy]["digits"].mean(1)
     text = f"{record['mean']:.2f} [{record['low']:.2f}, {record['high']:.2f}]"
-    return text + (f" ± {seeds.std(ddof=1):.2f}" if len(seeds) > 1 else "")
+    return text + (f" ± {seeds.std(ddof=1):.2f} ({len(seeds)})" if len(seeds) > 1 else "")
 
 
 def table(out: Path) -> None:
@@ -306,12 +297,15 @@ def table(out: Path) -> None:
     rows = []
     for name in [name for name in RECIPES if name != ALL]:
         world = str(RECIPES[name].get("scenario", name))
-        cells = [plain(published.cell("comparison", world, policy)) for policy in ("static", "ppo-random-energy")]
+        theirs, ppo = (plain(published.cell("comparison", world, policy)) for policy in ("static", "ppo-random-energy"))
+        file, shipped = f"recurrent-{name}", "–"
+        if name != DEFAULTS:
+            shipped = digits(evaluate(file, [world], episodes=200, run=run), world, file)
         before = digits(evaluate(untrained(out), [world], episodes=10, run=run), world, "untrained")
         ours = digits(evaluate(trained(name, out), [world], episodes=200, run=run), world, "trained")
-        label = world + ", defaults of `ptne train`, five seeds" * (name == DEFAULTS)
-        rows.append([label, cells[0], law("comparison", world)[1], cells[1], before, ours])
-    headings = ["", "the paper's law", "best law", "PPO", "untrained, 20 seeds", "trained through the world"]
+        label = world + ", defaults of `ptne train`" * (name == DEFAULTS)
+        rows.append([label, theirs, law("comparison", world)[1], ppo, before, ours, shipped])
+    headings = ["", "the paper's law", "best law", "PPO", "untrained", "trained through the world", "the shipped file"]
     parts = [markdown(headings, rows)]
 
     family = get_scenario("random-energy-switching-transformed")
@@ -328,7 +322,7 @@ def table(out: Path) -> None:
         best, standard = law("ptne-v1", track)[1], best_standard(published, track)
         seeds = found.samples[track, "trained"]["digits"].mean(1)
         rows.append([track, theirs, best, standard, f"{with_interval(ours)} ± {seeds.std(ddof=1):.2f}"])
-    parts.append(markdown(["", "the paper's law", "best law", "best standard algorithm", headings[-1]], rows))
+    parts.append(markdown(["", "the paper's law", "best law", "best standard algorithm", headings[-2]], rows))
 
     def mean(suite: str, world: str, policy: str) -> float:
         return float(published.cell(suite, world, policy)["mean"])
@@ -355,18 +349,18 @@ TEXT = """# Policies that were trained through the world
 
 Written by `python baselines/learned.py table`; `python baselines/learned.py train NAME` trains. Digits with 95 %
 intervals on test episodes: 200 of the specialists, 10 of each untrained network, and those of the suites; ± is the
-standard deviation over training seeds.
+standard deviation over training seeds, their number in brackets.
 [learning.md](../docs/learning.md#through-the-world) explains the network and its training.
 
 ## Specialists
 
 Each was trained in other games of its family, from random weights, the first and the defaults for two to three minutes
-of one core per seed, of five. With twice the units two seeds of the first had 11.77 and 11.46 digits in the test and in
-training, after seven minutes each. The second holds each action for four steps. Its recipe was run with seed 2, for 26
-minutes, which gave 6.9 digits in training, and went on twice, for 1,500 updates at a rate of 3e-4, in 51 minutes, which
-gave 7.4 and then 7.6. It does not see anything in units of the nearest neighbour's difference, which are newer. They
-make the recipe depend less on the seed: before, seed 0 had stayed at 2.1 digits, and now it has 6.8; seeds 1 and 2 have
-6.2 and 6.5 after 900 updates. Runs that started from a network for the transformed clock stayed at 6.1.
+of one core per seed. With twice the units two seeds of the first had 11.77 and 11.46 digits in the test and in
+training, after seven minutes each. The second holds each action for four steps. Its recipe takes half an hour. What
+seeds differ in is how well players predict the moves of others: without linear attention all have 4.6 to 4.9 digits in
+validation. Runs that started from a network for the transformed clock stayed at 6.1, as seed 1 does. The shipped file
+is of an older recipe, whose features had no units of the nearest neighbour's difference: 2,000 updates at a rate of
+4e-4 and twice 1,500 at 3e-4, 77 minutes in all.
 
 {0}
 
@@ -404,6 +398,18 @@ What did not help, in shares of the best law's digits on validation episodes: th
 windows of 60 steps with 0.95 for memories (0.89, as 50 players then had half of their digits; otherwise the best of
 all); means of three and four runs (0.92, as of one); a mean with 30 % of a run of 1,000 updates among short deadlines
 (0.87); five runs of 250 updates together (0.90). A mean with 30 % of a run of 400 updates among liars had 0.92 too.
+
+Of those five runs one has most of a digit less among 50 players than the others. It also fails among 12 players with
+four components each on a ring (1.2 digits, another 3.2), where messages pass through six players. Among eight worlds,
+of which three were of this kind, training held 50 players (4.7 digits), and lost tracks that it did not see; with one
+such world of 35, and windows of 60 steps, it did not hold them (3.7). Means with such runs had 0.92 to 0.925.
+
+Dither was tried too. A network that may add an offset to its estimates, which the loss does not count (evenly spread
+numbers times a learned amplitude, and 0 in the last step), learns to average rounded messages, if the slope of rounding
+is taken to be that of x − sin(2πx)/2π, which tells that spread helps. After 1,800 updates among rounded messages it had
+2.4 digits on `rounding` in place of 2.0, with half of the amplitude that would be needed, and it lost other tracks:
+offsets of all players disturb the gradients of all. With offsets in every second step only, networks learned to do
+without, and had 2.3. Laws need a model of their own costs to dither and respond at once.
 
 "Every law" is every entry. The attack, on the file before the last run, also tuned laws for each of these tracks alone,
 on validation episodes, and played them beside the network on 200 fresh ones; no command here repeats it. The lead held
