@@ -185,11 +185,18 @@ ALL = "random-worlds"
 DEFAULTS = "defaults"
 """That of ``ptne train --through-world``, with all defaults."""
 
-LONG_STEPS = {"window": 100, "memory_shrink": 0.97, "hidden": 64, "slot_hidden": 32, "action_repeat": 4}
-
 RECIPES: dict[str, dict[str, Any]] = {
     "random-energy-switching-transformed": {"updates": 1200},
-    "random-energy-switching": {"updates": 900, "rate": 4e-4, "then": {"updates": 1300, "rate": 3e-4}} | LONG_STEPS,
+    "random-energy-switching": {
+        "updates": 900,
+        "window": 100,
+        "memory_shrink": 0.97,
+        "rate": 4e-4,
+        "hidden": 64,
+        "slot_hidden": 32,
+        "action_repeat": 4,
+        "then": {"updates": 1300, "rate": 3e-4},
+    },
     DEFAULTS: {"scenario": "random-energy-switching-transformed"},
     ALL: {
         "updates": 250,
@@ -238,7 +245,7 @@ def train(name: str, seeds: list[int], out: Path) -> None:
 
 
 def ship(name: str, folders: list[Path]) -> None:
-    """Replace the shipped file by the best policy in training, or if runs went on from it, by a mean of their weights.
+    """Replace the shipped file by the best policy in training, that of the generalist by a mean of weights.
 
     A mean of the weights before and after a run, which ``mean.npz`` has, loses less outside of the worlds of the run.
     The shipped file is the mean of these.
@@ -276,10 +283,15 @@ def trained(name: str, out: Path) -> PolicySpec:
 
 
 def digits(results: Results, track: str, policy: str) -> str:
-    """The mean with its interval; with several training seeds also their standard deviation and number."""
-    record, seeds = results.record(track, policy, "digits"), results.samples[track, policy]["digits"].mean(1)
-    text = f"{record['mean']:.2f} [{record['low']:.2f}, {record['high']:.2f}]"
-    return text + (f" ± {seeds.std(ddof=1):.2f} ({len(seeds)})" if len(seeds) > 1 else "")
+    """The mean with its interval, and the spread over training seeds."""
+    record = results.record(track, policy, "digits")
+    return f"{record['mean']:.2f} [{record['low']:.2f}, {record['high']:.2f}]{spread(results, track, policy)}"
+
+
+def spread(results: Results, track: str, policy: str) -> str:
+    """The standard deviation over training seeds, and their number, if there are several."""
+    seeds = results.samples[track, policy]["digits"].mean(1)
+    return f" ± {seeds.std(ddof=1):.2f} ({len(seeds)})" if len(seeds) > 1 else ""
 
 
 def table(out: Path) -> None:
@@ -294,18 +306,21 @@ def table(out: Path) -> None:
         name, cell = best_law(published, suite, track, without)
         return float(cell["mean"]), f"{name} {with_interval(cell)}"
 
+    def played(world: str, name: str, policy: str | PolicySpec, episodes: int = 200) -> str:
+        """The digits of a policy of this name."""
+        return digits(evaluate(policy, [world], episodes=episodes, run=run), world, name)
+
     rows = []
     for name in [name for name in RECIPES if name != ALL]:
         world = str(RECIPES[name].get("scenario", name))
         theirs, ppo = (plain(published.cell("comparison", world, policy)) for policy in ("static", "ppo-random-energy"))
-        file, shipped = f"recurrent-{name}", "–"
-        if name != DEFAULTS:
-            shipped = digits(evaluate(file, [world], episodes=200, run=run), world, file)
-        before = digits(evaluate(untrained(out), [world], episodes=10, run=run), world, "untrained")
-        ours = digits(evaluate(trained(name, out), [world], episodes=200, run=run), world, "trained")
+        before = played(world, "untrained", untrained(out), episodes=10)
+        ours, file = played(world, "trained", trained(name, out)), f"recurrent-{name}"
+        shipped = "–" if name == DEFAULTS else played(world, file, file)
         label = world + ", defaults of `ptne train`" * (name == DEFAULTS)
         rows.append([label, theirs, law("comparison", world)[1], ppo, before, ours, shipped])
-    headings = ["", "the paper's law", "best law", "PPO", "untrained", "trained through the world", "the shipped file"]
+    heading = "trained through the world"
+    headings = ["", "the paper's law", "best law", "PPO", "untrained", heading, "the shipped file"]
     parts = [markdown(headings, rows)]
 
     family = get_scenario("random-energy-switching-transformed")
@@ -320,9 +335,8 @@ def table(out: Path) -> None:
     for track in published.names("track", "ptne-v1"):
         theirs, ours = plain(published.cell("ptne-v1", track, "static")), published.cell("ptne-v1", track, shipped)
         best, standard = law("ptne-v1", track)[1], best_standard(published, track)
-        seeds = found.samples[track, "trained"]["digits"].mean(1)
-        rows.append([track, theirs, best, standard, f"{with_interval(ours)} ± {seeds.std(ddof=1):.2f}"])
-    parts.append(markdown(["", "the paper's law", "best law", "best standard algorithm", headings[-2]], rows))
+        rows.append([track, theirs, best, standard, with_interval(ours) + spread(found, track, "trained")])
+    parts.append(markdown(["", "the paper's law", "best law", "best standard algorithm", heading], rows))
 
     def mean(suite: str, world: str, policy: str) -> float:
         return float(published.cell(suite, world, policy)["mean"])
@@ -356,8 +370,8 @@ standard deviation over training seeds, their number in brackets.
 
 Each was trained in other games of its family, from random weights, the first and the defaults for two to three minutes
 of one core per seed. With twice the units two seeds of the first had 11.77 and 11.46 digits in the test and in
-training, after seven minutes each. The second holds each action for four steps. Its recipe takes half an hour. What
-seeds differ in is how well players predict the moves of others: without linear attention all have 4.6 to 4.9 digits in
+training, after seven minutes each. The second holds each action for four steps. Its recipe takes half an hour. Its
+seeds differ in how well players predict the moves of others: without linear attention all have 4.6 to 4.9 digits in
 validation. Runs that started from a network for the transformed clock stayed at 6.1, as seed 1 does. The shipped file
 is of an older recipe, whose features had no units of the nearest neighbour's difference: 2,000 updates at a rate of
 4e-4 and twice 1,500 at 3e-4, 77 minutes in all.
@@ -406,7 +420,7 @@ such world of 35, and windows of 60 steps, it did not hold them (3.7). Means wit
 
 Dither was tried too. A network that may add an offset to its estimates, which the loss does not count (evenly spread
 numbers times a learned amplitude, and 0 in the last step), learns to average rounded messages, if the slope of rounding
-is taken to be that of x − sin(2πx)/2π, which tells that spread helps. After 1,800 updates among rounded messages it had
+is taken to be that of x − sin(2πx)/2π, which rewards spread. After 1,800 updates among rounded messages it had
 2.4 digits on `rounding` in place of 2.0, with half of the amplitude that would be needed, and it lost other tracks:
 offsets of all players disturb the gradients of all. With offsets in every second step only, networks learned to do
 without, and had 2.3. Laws need a model of their own costs to dither and respond at once.
