@@ -188,20 +188,19 @@ DEFAULTS = "defaults"
 RECIPES: dict[str, dict[str, Any]] = {
     "random-energy-switching-transformed": {"updates": 1200},
     "random-energy-switching": {
-        "updates": 900,
+        "updates": 1800,
+        "cells": 800,
         "window": 100,
         "memory_shrink": 0.97,
-        "rate": 4e-4,
         "hidden": 64,
         "slot_hidden": 32,
         "action_repeat": 4,
-        "then": {"updates": 1300, "rate": 3e-4},
     },
     DEFAULTS: {"scenario": "random-energy-switching-transformed"},
     ALL: {
-        "updates": 250,
+        "updates": 150,
         "cells": 200,
-        "rate": 5e-4,
+        "rate": 1e-3,
         "hidden": 48,
         "slot_hidden": 24,
         "knows_costs": False,
@@ -209,8 +208,7 @@ RECIPES: dict[str, dict[str, Any]] = {
     },
 }
 """Settings of two specialists, of a user's first run, and of the generalist, whose runs go on from the shipped file.
-The scenario is that of the name, unless it is among them. ``then``: those of a second run from the weights of the
-first, with other episodes."""
+The scenario is that of the name, unless it is among them."""
 
 OUTSIDE = (
     ("curvatures of 0.1 to 4, not 0.5 to 2", {"game": part("game:random-energy", players=5, curvature=(0.1, 4.0))}),
@@ -235,9 +233,6 @@ def train(name: str, seeds: list[int], out: Path) -> None:
     tracks, folders = WORLDS + drawn(6) if name == ALL else (), [out / name / f"seed-{seed}" for seed in seeds]
     for seed, folder in zip(seeds, folders, strict=True):
         recipe = {"scenario": name, "seed": seed} | RECIPES[name]
-        if then := recipe.pop("then", {}):
-            through_world.train(through_world.Settings(**recipe), folder / "first", show, tracks)
-            recipe |= {"seed": seed + 10, "start": str(folder / "first" / through_world.POLICY)} | then
         summary = through_world.train(through_world.Settings(**recipe), folder, show, tracks)
         print(f"{name} {seed}: {summary.digits:.2f} digits, {summary.seconds:.0f} s")
     if name != DEFAULTS:

@@ -114,13 +114,3 @@ def test_the_trials_that_lead_after_the_short_run_get_the_long_run_and_the_cheap
 def test_players_who_hear_all_reach_the_equilibrium_and_others_do_not_without_a_model_of_the_unheard():
     assert learned.limit("random-energy", episodes=3) == pytest.approx(12)
     assert learned.limit("random-energy-switching", episodes=3) < 8
-
-
-def test_a_second_run_goes_on_from_the_first_with_other_episodes(tmp_path, monkeypatch):
-    runs, through_world = [], pytest.importorskip("ptne_env.learn.training.through_world")
-    summary = through_world.Summary(1, 0, 1.0, 2.0)
-    monkeypatch.setattr(through_world, "train", lambda settings, *_: runs.append(settings) or summary)
-    monkeypatch.setattr(learned, "ship", lambda name, folders: None)
-    learned.train("random-energy-switching", [3], tmp_path)
-    assert [(run.seed, run.rate, run.window) for run in runs] == [(3, 4e-4, 100), (13, 3e-4, 100)]
-    assert runs[1].start == str(tmp_path / "random-energy-switching" / "seed-3" / "first" / "policy.npz")

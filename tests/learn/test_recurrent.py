@@ -153,7 +153,7 @@ def test_a_file_with_a_damaged_byte_is_refused_or_plays_the_same():
     assert refused > 250
 
 
-def sealed_with(version=5, **changes):
+def sealed_with(version=6, **changes):
     """A file whose SHA-256 is right, with some weights changed."""
     weights, buffer = WEIGHTS | changes, io.BytesIO()
     described = {"version": version, "training": {}, "sha256": recurrent._digest(weights, {})}

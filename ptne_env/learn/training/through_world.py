@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from optax.contrib import MuonDimensionNumbers, muon
 
 import ptne_env.jax
 from ptne_env.bench.suite import find_scenario
@@ -63,7 +64,7 @@ class Settings:
         window: steps between updates. Gradients end there; states and memories go on.
         shrink: factor of the gradient with respect to the state, per step.
         memory_shrink: factor of that with respect to what players remember.
-        rate: of Adam at the start; it falls to a fiftieth, along a cosine.
+        rate: of the optimiser at the start; it falls to a fiftieth, along a cosine.
         hidden: units of the network per component.
         slot_hidden: units per component of each neighbour.
         seed: of weights and episodes.
@@ -81,7 +82,7 @@ class Settings:
     window: int = 40
     shrink: float = 0.99
     memory_shrink: float = 0.9
-    rate: float = 1.5e-3
+    rate: float = 4e-3
     hidden: int = 32
     slot_hidden: int = 16
     seed: int = 0
@@ -239,7 +240,7 @@ def train(
         resumed_at, steps, reached = so_far["done"], so_far["agent_steps"], so_far["digits"]
     best = mean = weights = jax.tree.map(jnp.asarray, weights)
     rate = optax.cosine_decay_schedule(settings.rate, settings.updates, 0.02)
-    optimiser = optax.adam(lambda count: rate(count + resumed_at))
+    optimiser = _optimiser(lambda count: rate(count + resumed_at))
     memory, curve = optimiser.init(weights), np.zeros((0, 2))
     key = jax.random.fold_in(jax.random.key(settings.seed), resumed_at)
     lessons = [Lesson(track, settings, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
@@ -288,6 +289,18 @@ def _start(settings: Settings) -> Weights:
     if not isinstance(start, RecurrentPolicy):
         raise ValueError(f"{settings.start} has no memory: a run starts from the weights of a recurrent policy")
     return start.weights | {name: weights[name] for name in GIVEN}
+
+
+def _optimiser(rate: Callable[[Any], Any]) -> Any:
+    """Muon for stacks of matrices, and Adam, at a fifth of the rate, for all other weights."""
+
+    def stacks(weights: Weights) -> Any:
+        of_stack = MuonDimensionNumbers(reduction_axis=2, output_axis=1)
+        return jax.tree.map(lambda each: of_stack if each.ndim == 3 else None, weights)
+
+    return muon(
+        rate, consistent_rms=0.2, muon_weight_dimension_numbers=stacks, adam_learning_rate=lambda count: rate(count) / 5
+    )
 
 
 @partial(jax.jit, static_argnums=0)
