@@ -366,9 +366,9 @@ standard deviation over training seeds, their number in brackets.
 Each was trained in other games of its family, from random weights: the first and the defaults for two minutes of one
 core per seed, the second, which holds each action for four steps, for eleven. The shipped file is the best of the seeds
 in training. Until Muon replaced Adam, the second stuck where players predict the moves of others badly: seeds 0 and 1
-had 6.6 and 6.8 digits in training after 25 minutes; with Muon seed 1 has these 6.8 in five. Without linear attention
-all networks had 4.6 to 4.9. Twice the rate gained nothing, and 3,000 updates had 8.5 digits in 100 test episodes. With
-full outputs at the start seed 0 learned nothing in the first hundred updates, and at twice the rate nothing in three.
+had 6.6 and 6.8 digits in training after 25 minutes; with Muon seed 1 reached 6.8 in five. Without linear attention all
+networks had 4.6 to 4.9. Twice the rate gained nothing, and 3,000 updates had 8.5 digits in 100 test episodes. With full
+outputs at the start seed 0 learned nothing in 120 updates, and in 340 at twice the rate.
 
 {0}
 
@@ -430,9 +430,8 @@ of its constructor too (2.73 and 3.04). With a patience of 30 in place of 12.6 i
 most 0.95 is allowed), so its entry waits for the next version of the suite. Outside of the suite the file before the
 last run lost to `routed-unknown` among 30 players with fast random links, and to `contact-relay` under very loud noise.
 
-The second specialist and the generalist were trained by development versions of the loop, the generalist also in other
-worlds and for longer than by its recipe. So the recipes do not reproduce them bit for bit. The runs of the generalist
-did not bound gradients through messages, except in the last two.
+The generalist was trained by development versions of the loop, in other worlds and for longer than by its recipe. So
+the recipe does not reproduce it bit for bit. Its runs did not bound gradients through messages, except in the last two.
 """
 
 
