@@ -197,18 +197,10 @@ RECIPES: dict[str, dict[str, Any]] = {
         "action_repeat": 4,
     },
     DEFAULTS: {"scenario": "random-energy-switching-transformed"},
-    ALL: {
-        "updates": 150,
-        "cells": 200,
-        "rate": 1e-3,
-        "hidden": 48,
-        "slot_hidden": 24,
-        "knows_costs": False,
-        "start": "recurrent-random-worlds",
-    },
+    ALL: {"updates": 1200, "cells": 100, "hidden": 48, "slot_hidden": 24, "knows_costs": False},
 }
-"""Settings of two specialists, of a user's first run, and of the generalist, whose runs go on from the shipped file.
-The scenario is that of the name, unless it is among them."""
+"""Settings of two specialists, of a user's first run, and of the generalist. The scenario is that of the name, unless
+it is among them."""
 
 OUTSIDE = (
     ("curvatures of 0.1 to 4, not 0.5 to 2", {"game": part("game:random-energy", players=5, curvature=(0.1, 4.0))}),
@@ -240,28 +232,11 @@ def train(name: str, seeds: list[int], out: Path) -> None:
 
 
 def ship(name: str, folders: list[Path]) -> None:
-    """Replace the shipped file by the best policy in training, that of the generalist by a mean of weights.
-
-    A mean of the weights before and after a run, which ``mean.npz`` has, loses less outside of the worlds of the run.
-    The shipped file is the mean of these.
-    """
-    shipped = Path(learn.__file__).parent / f"recurrent-{name}.npz"
+    """Replace the shipped file by the best policy in training."""
     runs = [recurrent.opened(path, path.read_bytes()) for path in (folder / "policy.npz" for folder in folders)]
     best = max(runs, key=lambda run: float(run.training["digits"]))
-    weights = best.weights
-    if name == ALL:
-        before = recurrent.opened(shipped, shipped.read_bytes())
-        if before.training == best.training:  # a repeated command
-            return
-        means = [_mean([before.weights, run.weights]) for run in runs]
-        for folder, each, run in zip(folders, means, runs, strict=True):
-            write_atomically(folder / "mean.npz", recurrent.sealed(each, run.training))
-        weights = _mean(means)
-    write_atomically(shipped, recurrent.sealed(weights, best.training))
-
-
-def _mean(weights: list[recurrent.Weights]) -> recurrent.Weights:
-    return {name: np.mean([each[name] for each in weights], axis=0) for name in weights[0]}
+    shipped = Path(learn.__file__).parent / f"recurrent-{name}.npz"
+    write_atomically(shipped, recurrent.sealed(best.weights, best.training))
 
 
 def untrained(out: Path, seeds: int = 20) -> PolicySpec:
@@ -274,7 +249,7 @@ def untrained(out: Path, seeds: int = 20) -> PolicySpec:
 
 def trained(name: str, out: Path) -> PolicySpec:
     """All training seeds of a recipe that are there."""
-    return get_policy_spec(f"trained={out}/{name}/seed-*/{'mean' if name == ALL else 'policy'}.npz")
+    return get_policy_spec(f"trained={out}/{name}/seed-*/policy.npz")
 
 
 def digits(results: Results, track: str, policy: str) -> str:

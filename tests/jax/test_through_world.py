@@ -42,10 +42,12 @@ def test_the_network_is_the_same_in_numpy_and_jax():
         state = dynamics.step(world.numpy, state, encoder.decode(actions.reshape(3, 5, 5), state))
 
 
-def test_steps_in_training_are_as_long_as_actions_are_held():
+def test_steps_in_training_are_as_long_as_actions_are_held(tmp_path, monkeypatch):
     track, settings = get_suite("ptne-v1").track("short-deadline"), dataclasses.replace(SHORT, action_repeat=3)
     assert through_world.Lesson(track, settings, jax.random.key(0)).world.numpy.clock.steps == 10
-    assert through_world._start(settings)["action_repeat"] == 3
+    monkeypatch.setattr(through_world.Lesson, "slope", lambda *_: (UPWARDS, 0.0))
+    through_world.train(dataclasses.replace(settings, updates=1), tmp_path, tracks=(track,))
+    assert load(tmp_path / "policy.npz").weights["action_repeat"] == 3
     with pytest.raises(ValueError, match="action_repeat must be at most 100, got 101"):
         dataclasses.replace(SHORT, action_repeat=101)
 
