@@ -197,10 +197,18 @@ RECIPES: dict[str, dict[str, Any]] = {
         "action_repeat": 4,
     },
     DEFAULTS: {"scenario": "random-energy-switching-transformed"},
-    ALL: {"updates": 1200, "cells": 100, "hidden": 48, "slot_hidden": 24, "knows_costs": False},
+    ALL: {
+        "updates": 150,
+        "cells": 200,
+        "rate": 1e-3,
+        "hidden": 48,
+        "slot_hidden": 24,
+        "knows_costs": False,
+        "start": "recurrent-random-worlds",
+    },
 }
-"""Settings of two specialists, of a user's first run, and of the generalist. The scenario is that of the name, unless
-it is among them."""
+"""Settings of two specialists, of a user's first run, and of the generalist, whose runs go on from the shipped file.
+The scenario is that of the name, unless it is among them."""
 
 OUTSIDE = (
     ("curvatures of 0.1 to 4, not 0.5 to 2", {"game": part("game:random-energy", players=5, curvature=(0.1, 4.0))}),
@@ -232,11 +240,28 @@ def train(name: str, seeds: list[int], out: Path) -> None:
 
 
 def ship(name: str, folders: list[Path]) -> None:
-    """Replace the shipped file by the best policy in training."""
+    """Replace the shipped file by the best policy in training, that of the generalist by a mean of weights.
+
+    A mean of the weights before and after a run, which ``mean.npz`` has, loses less outside of the worlds of the run.
+    The shipped file is the mean of these.
+    """
+    shipped = Path(learn.__file__).parent / f"recurrent-{name}.npz"
     runs = [recurrent.opened(path, path.read_bytes()) for path in (folder / "policy.npz" for folder in folders)]
     best = max(runs, key=lambda run: float(run.training["digits"]))
-    shipped = Path(learn.__file__).parent / f"recurrent-{name}.npz"
-    write_atomically(shipped, recurrent.sealed(best.weights, best.training))
+    weights = best.weights
+    if name == ALL:
+        before = recurrent.opened(shipped, shipped.read_bytes())
+        if before.training == best.training:  # a repeated command
+            return
+        means = [_mean([before.weights, run.weights]) for run in runs]
+        for folder, each, run in zip(folders, means, runs, strict=True):
+            write_atomically(folder / "mean.npz", recurrent.sealed(each, run.training))
+        weights = _mean(means)
+    write_atomically(shipped, recurrent.sealed(weights, best.training))
+
+
+def _mean(weights: list[recurrent.Weights]) -> recurrent.Weights:
+    return {name: np.mean([each[name] for each in weights], axis=0) for name in weights[0]}
 
 
 def untrained(out: Path, seeds: int = 20) -> PolicySpec:
@@ -249,7 +274,7 @@ def untrained(out: Path, seeds: int = 20) -> PolicySpec:
 
 def trained(name: str, out: Path) -> PolicySpec:
     """All training seeds of a recipe that are there."""
-    return get_policy_spec(f"trained={out}/{name}/seed-*/policy.npz")
+    return get_policy_spec(f"trained={out}/{name}/seed-*/{'mean' if name == ALL else 'policy'}.npz")
 
 
 def digits(results: Results, track: str, policy: str) -> str:
@@ -388,6 +413,12 @@ digits, another 3.2), where messages pass through six players. Among eight world
 training held 50 players (4.7 digits), and lost tracks that it did not see; with one such world of 35, and windows of 60
 steps, it did not hold them (3.7). Means with such runs had 0.92 to 0.925.
 
+Muon, from random weights, may be better than this chain. One run of 1,200 updates in these 34 worlds, with half of the
+episodes and 65 minutes of one core, has 0.94 of the best law's digits on 30 validation episodes per track, where the
+file has 0.91, but only 0.84 among 50 players, and 21 % of its episodes on `strangers` end below one digit. After 220
+more, with two more worlds with strangers and one such ring, it has 0.96, and 0.89 among 50 players. A file of this kind
+waits for five training seeds.
+
 Dither was tried too. A network that may add an offset to its estimates, which the loss does not count (evenly spread
 numbers times a learned amplitude, and 0 in the last step), learns to average rounded messages, if the slope of rounding
 is taken to be that of x − sin(2πx)/2π, which rewards spread. After 1,800 updates among rounded messages it had
@@ -395,15 +426,20 @@ is taken to be that of x − sin(2πx)/2π, which rewards spread. After 1,800 up
 offsets of all players disturb the gradients of all. With offsets in every second step only, networks learned to do
 without, and had 2.3. Laws need a model of their own costs to dither and respond at once.
 
-"Every law" is every entry. The attack, on the file before the last run, also tuned laws for each of these tracks alone,
-on validation episodes, and played them beside the network on 200 fresh ones; no command here repeats it. The lead held
-on `strangers` (3.71 digits and 3.56). On `switching-physical` (4.45, and a `residual-coder` 4.53), `rough-links` (2.66,
-and a `contact-relay` 2.66) and `monotone` (3.91, and an `observer-relay` 3.97) they were level by the mean, and the
-network was ahead in the worst tenth of the episodes. On `short-deadline` `contact-relay` was ahead, with the constants
-of its constructor too (2.73 and 3.04). With a patience of 30 in place of 12.6 it would have more digits in validation,
-2.64 in place of 2.50 on average, but `curved` and `coupled` would then rank the entries too much alike (0.953, and at
-most 0.95 is allowed), so its entry waits for the next version of the suite. Outside of the suite the file before the
-last run lost to `routed-unknown` among 30 players with fast random links, and to `contact-relay` under very loud noise.
+"Every law" is every entry, with the same constants on all tracks. In an attack, somebody who did not build the network
+tuned laws for each of these tracks alone, all constants of their modules, on validation episodes, and played them
+beside it on 200 fresh ones; no command here repeats it. Such laws are ahead on `switching-physical` (`residual-coder`
+4.95, the network 4.45), `rough-links` (`contact-relay` 2.71 and 2.61), `monotone` (`residual-coder` 4.51,
+`observer-relay` 4.14, and 3.96) and `short-deadline` (`contact-relay`, with the constants of its constructor, 2.75,
+with another first step 2.98, and 2.52), and level on `strangers` (`observer-relay` 3.66 and 3.62). In the worst tenth
+of the episodes both coders are behind (3.02 and 3.78; 0.46 and 2.41). With a patience of 30 in place of 12.6
+`contact-relay` would have more digits in validation, 2.64 in place of 2.50 on average, but `curved` and `coupled` would
+then rank the entries too much alike (0.953, and at most 0.95 is allowed), so its entry waits for the next version of
+the suite.
+
+Outside of the suite the network lost to `contact-relay` on a path of 12 players (2.7 and 4.9 digits), under noise of 10
+(0.5 and 1.0) and where 80 % of messages are lost (4.6 and 5.0), to `observer-relay` where they are 12 steps late (3.8
+and 4.6), and led it in asymmetric games (4.0 and 3.2).
 
 The generalist was trained by development versions of the loop, in other worlds and for longer than by its recipe. So
 the recipe does not reproduce it bit for bit. Its runs did not bound gradients through messages, except in the last two.

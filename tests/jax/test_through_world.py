@@ -42,14 +42,21 @@ def test_the_network_is_the_same_in_numpy_and_jax():
         state = dynamics.step(world.numpy, state, encoder.decode(actions.reshape(3, 5, 5), state))
 
 
-def test_steps_in_training_are_as_long_as_actions_are_held(tmp_path, monkeypatch):
+def test_steps_in_training_are_as_long_as_actions_are_held():
     track, settings = get_suite("ptne-v1").track("short-deadline"), dataclasses.replace(SHORT, action_repeat=3)
     assert through_world.Lesson(track, settings, jax.random.key(0)).world.numpy.clock.steps == 10
-    monkeypatch.setattr(through_world.Lesson, "slope", lambda *_: (UPWARDS, 0.0))
-    through_world.train(dataclasses.replace(settings, updates=1), tmp_path, tracks=(track,))
-    assert load(tmp_path / "policy.npz").weights["action_repeat"] == 3
+    assert through_world._start(settings)["action_repeat"] == 3
     with pytest.raises(ValueError, match="action_repeat must be at most 100, got 101"):
         dataclasses.replace(SHORT, action_repeat=101)
+
+
+def test_a_run_starts_from_the_weights_of_a_recurrent_policy():
+    name = "recurrent-random-worlds"
+    start = through_world._start(dataclasses.replace(SHORT, start=name))
+    given = {"knows_costs": np.ones(1), "action_repeat": np.ones(1)}  # those of the settings
+    np.testing.assert_equal(start, load(name).weights | given)
+    with pytest.raises(ValueError, match="ppo-random-energy has no memory: a run starts from the weights"):
+        through_world._start(dataclasses.replace(SHORT, start="ppo-random-energy"))
 
 
 def test_gradients_are_finite_where_nothing_is_left_to_do():

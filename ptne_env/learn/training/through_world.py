@@ -28,8 +28,11 @@ from optax.contrib import MuonDimensionNumbers, muon
 import ptne_env.jax
 from ptne_env.bench.suite import find_scenario
 from ptne_env.evaluation.tracks import Track
+from ptne_env.learn.learned import load
 from ptne_env.learn.recurrent import (
+    GIVEN,
     MOST_REPEATS,
+    RecurrentPolicy,
     Weights,
     decide,
     initial_memory,
@@ -67,6 +70,7 @@ class Settings:
         seed: of weights and episodes.
         knows_costs: whether it learns the unit of costs; otherwise its actions do not depend on that unit.
         action_repeat: steps for which an action is held. Training takes steps of that length, for longer windows.
+        start: file or name of a recurrent policy, from whose weights it starts; from random ones if empty.
 
     Raises:
         ValueError: when a value has another type or is out of its range, naming it.
@@ -84,6 +88,7 @@ class Settings:
     seed: int = 0
     knows_costs: bool = True
     action_repeat: int = 1
+    start: str = ""
 
     def __post_init__(self) -> None:
         for name in ("updates", "cells", "window", "hidden", "slot_hidden", "action_repeat"):
@@ -227,8 +232,7 @@ def train(
     jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
     began = saved = monotonic()
     tracks = tracks or [Track(settings.scenario, find_scenario(settings.scenario), "")]
-    generator, sizes = np.random.default_rng(settings.seed), (settings.hidden, settings.slot_hidden)
-    weights = initial_weights(generator, *sizes, settings.knows_costs, settings.action_repeat)
+    weights = _start(settings)
     resumed_at, steps, reached = 0, 0, -math.inf
     if (out / POLICY).exists():
         before = opened(out / POLICY, (out / POLICY).read_bytes())
@@ -273,6 +277,18 @@ def train(
     summary = Summary(steps, resumed_at, monotonic() - began, _late(curve))
     write_record(out / SUMMARY, summary)
     return summary
+
+
+def _start(settings: Settings) -> Weights:
+    """The weights from which a run starts."""
+    generator, sizes = np.random.default_rng(settings.seed), (settings.hidden, settings.slot_hidden)
+    weights = initial_weights(generator, *sizes, settings.knows_costs, settings.action_repeat)
+    if not settings.start:
+        return weights
+    start = load(settings.start)
+    if not isinstance(start, RecurrentPolicy):
+        raise ValueError(f"{settings.start} has no memory: a run starts from the weights of a recurrent policy")
+    return start.weights | {name: weights[name] for name in GIVEN}
 
 
 def _optimiser(rate: Callable[[Any], Any]) -> Any:
