@@ -171,6 +171,30 @@ WORLDS = (
 )
 """Like tracks of the suite, with other numbers."""
 
+LATER_WORLDS = (
+    _world("stranger-of-five", 5, kappa=0.3, channel=_noisy(0.008)),
+    _world("stranger-of-seven", 7, kappa=0.5, channel=_noisy(0.015), topology=_graphs(7, 0.35)),
+    _world(
+        "wide",
+        12,
+        game=part("game:random-affine", players=12, action_dim=(3,) * 12),
+        topology=part("topology:circulant", players=12, offsets=(1, 3)),
+        gain=6.0,
+        steps=200,
+        channel=_noisy(0.001),
+    ),
+    _world(
+        "wide-ring",
+        12,
+        game=part("game:random-affine", players=12, action_dim=(4,) * 12),
+        topology=part("topology:circulant", players=12, offsets=(1,)),
+        gain=6.0,
+        steps=200,
+        channel=_noisy(0.001),
+    ),
+)
+"""Those that the first stage does not see."""
+
 
 def drawn(count: int, seed: int = 77) -> tuple[Track, ...]:
     """Random worlds of at most nine players and 500 steps, of another seed than those of the suite."""
@@ -179,11 +203,14 @@ def drawn(count: int, seed: int = 77) -> tuple[Track, ...]:
     return tuple(replace(track, name=f"drawn-{track.name}") for track in small[:count])
 
 
-ALL = "random-worlds"
-"""The recipe of the generalist."""
+FIRST, SECOND, ALL = GENERALIST = "random-worlds-first", "random-worlds-second", "random-worlds"
+"""The recipes of the three stages of the generalist, of which each goes on from seed 0 of the one before."""
 
 DEFAULTS = "defaults"
 """That of ``ptne train --through-world``, with all defaults."""
+
+SHARED = {"hidden": 48, "slot_hidden": 24, "knows_costs": False, "cells": 100}
+"""Settings of these stages."""
 
 RECIPES: dict[str, dict[str, Any]] = {
     "random-energy-switching-transformed": {"updates": 1200},
@@ -197,18 +224,12 @@ RECIPES: dict[str, dict[str, Any]] = {
         "action_repeat": 4,
     },
     DEFAULTS: {"scenario": "random-energy-switching-transformed"},
-    ALL: {
-        "updates": 150,
-        "cells": 200,
-        "rate": 1e-3,
-        "hidden": 48,
-        "slot_hidden": 24,
-        "knows_costs": False,
-        "start": "recurrent-random-worlds",
-    },
+    FIRST: SHARED | {"updates": 1200},
+    SECOND: SHARED | {"updates": 220},
+    ALL: SHARED | {"updates": 120, "rate": 1.5e-3},
 }
-"""Settings of two specialists, of a user's first run, and of the generalist, whose runs go on from the shipped file.
-The scenario is that of the name, unless it is among them."""
+"""Settings of two specialists, of a user's first run, and of the generalist. The scenario is that of the name, unless
+it is among them."""
 
 OUTSIDE = (
     ("curvatures of 0.1 to 4, not 0.5 to 2", {"game": part("game:random-energy", players=5, curvature=(0.1, 4.0))}),
@@ -230,38 +251,27 @@ def train(name: str, seeds: list[int], out: Path) -> None:
         if done % 50 == 0:
             print(f"{name} {seed}: {done}/{total}, {digits:.3f} digits", flush=True)
 
-    tracks, folders = WORLDS + drawn(6) if name == ALL else (), [out / name / f"seed-{seed}" for seed in seeds]
+    stage = GENERALIST.index(name) if name in GENERALIST else 0
+    start = str(out / GENERALIST[stage - 1] / "seed-0" / through_world.POLICY) if stage else ""
+    tracks = WORLDS + drawn(6) if name in GENERALIST else ()
+    if stage:
+        tracks = LATER_WORLDS + tracks
+    folders = [out / name / f"seed-{seed}" for seed in seeds]
     for seed, folder in zip(seeds, folders, strict=True):
-        recipe = {"scenario": name, "seed": seed} | RECIPES[name]
+        recipe = {"scenario": name, "seed": seed, "start": start} | RECIPES[name]
         summary = through_world.train(through_world.Settings(**recipe), folder, show, tracks)
         print(f"{name} {seed}: {summary.digits:.2f} digits, {summary.seconds:.0f} s")
-    if name != DEFAULTS:
+    if name not in {DEFAULTS, FIRST, SECOND}:
         ship(name, folders)
 
 
 def ship(name: str, folders: list[Path]) -> None:
-    """Replace the shipped file by the best policy in training, that of the generalist by a mean of weights.
-
-    A mean of the weights before and after a run, which ``mean.npz`` has, loses less outside of the worlds of the run.
-    The shipped file is the mean of these.
-    """
-    shipped = Path(learn.__file__).parent / f"recurrent-{name}.npz"
+    """Replace the shipped file by the best policy in training."""
     runs = [recurrent.opened(path, path.read_bytes()) for path in (folder / "policy.npz" for folder in folders)]
     best = max(runs, key=lambda run: float(run.training["digits"]))
-    weights = best.weights
-    if name == ALL:
-        before = recurrent.opened(shipped, shipped.read_bytes())
-        if before.training == best.training:  # a repeated command
-            return
-        means = [_mean([before.weights, run.weights]) for run in runs]
-        for folder, each, run in zip(folders, means, runs, strict=True):
-            write_atomically(folder / "mean.npz", recurrent.sealed(each, run.training))
-        weights = _mean(means)
-    write_atomically(shipped, recurrent.sealed(weights, best.training))
-
-
-def _mean(weights: list[recurrent.Weights]) -> recurrent.Weights:
-    return {name: np.mean([each[name] for each in weights], axis=0) for name in weights[0]}
+    start = Path(best.training["start"]).parent.parent.name  # the recipe, on every machine
+    shipped = Path(learn.__file__).parent / f"recurrent-{name}.npz"
+    write_atomically(shipped, recurrent.sealed(best.weights, best.training | {"start": start}))
 
 
 def untrained(out: Path, seeds: int = 20) -> PolicySpec:
@@ -274,7 +284,7 @@ def untrained(out: Path, seeds: int = 20) -> PolicySpec:
 
 def trained(name: str, out: Path) -> PolicySpec:
     """All training seeds of a recipe that are there."""
-    return get_policy_spec(f"trained={out}/{name}/seed-*/{'mean' if name == ALL else 'policy'}.npz")
+    return get_policy_spec(f"trained={out}/{name}/seed-*/policy.npz")
 
 
 def digits(results: Results, track: str, policy: str) -> str:
@@ -306,7 +316,7 @@ def table(out: Path) -> None:
         return digits(evaluate(policy, [world], episodes=episodes, run=run), world, name)
 
     rows = []
-    for name in [name for name in RECIPES if name != ALL]:
+    for name in [name for name in RECIPES if name not in GENERALIST]:
         world = str(RECIPES[name].get("scenario", name))
         theirs, ppo = (plain(published.cell("comparison", world, policy)) for policy in ("static", "ppo-random-energy"))
         before = played(world, "untrained", untrained(out), episodes=10)

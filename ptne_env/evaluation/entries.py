@@ -258,7 +258,7 @@ _COMPARED = {
 }
 _OTHERS = {
     "ppo-ptne-v1": _network("ptne-v1"),
-    "recurrent-random-worlds": _recurrent("random-worlds", "in 31 worlds outside of the suites"),
+    "recurrent-random-worlds": _recurrent("random-worlds", "in 38 worlds outside of the suites"),
     "static-tuned": _entry("law:static", "The static law with tuned weights.", kappa=2.2, gradient_gain=2.94),
     "adaptive-grounded": _entry(
         "law:adaptive-grounded",
