@@ -52,11 +52,13 @@ def test_steps_in_training_are_as_long_as_actions_are_held():
 
 def test_a_run_starts_from_the_weights_of_a_recurrent_policy():
     name = "recurrent-random-worlds"
-    start = through_world._start(dataclasses.replace(SHORT, start=name))
+    start = through_world._start(dataclasses.replace(SHORT, start=name, hidden=48, slot_hidden=24))
     given = {"knows_costs": np.ones(1), "action_repeat": np.ones(1)}  # those of the settings
     np.testing.assert_equal(start, load(name).weights | given)
     with pytest.raises(ValueError, match="ppo-random-energy has no memory: a run starts from the weights"):
         through_world._start(dataclasses.replace(SHORT, start="ppo-random-energy"))
+    with pytest.raises(ValueError, match=r"hidden and slot_hidden of \(48, 24\), but the settings \(4, 3\)"):
+        through_world._start(dataclasses.replace(SHORT, start=name))
 
 
 def test_gradients_are_finite_where_nothing_is_left_to_do():

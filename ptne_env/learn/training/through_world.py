@@ -225,7 +225,8 @@ def train(
         tracks: the worlds in which it trains, two at a time; the scenario of the settings if left out.
 
     Raises:
-        ValueError: for an unknown scenario, or when ``out`` holds a run with other settings or a damaged one.
+        ValueError: for an unknown scenario, when ``out`` holds a run with other settings or a damaged one, or when
+            ``start`` is a network of other sizes or without memory.
     """
     if (ended := finished(settings, out, POLICY)) is not None:
         return ended
@@ -288,6 +289,9 @@ def _start(settings: Settings) -> Weights:
     start = load(settings.start)
     if not isinstance(start, RecurrentPolicy):
         raise ValueError(f"{settings.start} has no memory: a run starts from the weights of a recurrent policy")
+    its_sizes = start.weights["again"].shape[-1], start.weights["slot_again"].shape[-1]
+    if its_sizes != sizes:
+        raise ValueError(f"{settings.start} has hidden and slot_hidden of {its_sizes}, but the settings {sizes}")
     return start.weights | {name: weights[name] for name in GIVEN}
 
 
