@@ -74,7 +74,7 @@ smoke:
 # The tests of a Ray cluster of two nodes on this machine, whose second node is killed in the middle.
 ray: $(VENV)/.test
 	$(PIP) --editable '.[test,ray]'
-	$(BIN)/pytest --show-capture=no tests/bench/test_cluster.py
+	$(BIN)/pytest --show-capture=no tests/execution/test_cluster.py
 
 # The tests that need neither torch nor the source tree, with the oldest packages that pyproject.toml admits, or with
 # the newest: make newest PYTHON=python3.13

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from ptne_env import FactorySpec, PolicySpec
-from ptne_env.bench import Suite, get_suite
-from ptne_env.bench.robustness import robustness
 from ptne_env.evaluation import evaluate
-from ptne_env.field.laws.observer_relay import RULES
+from ptne_env.laws.observer_relay import RULES
+from ptne_env.suites import Suite, get_suite
+from ptne_env.suites.robustness import robustness
 
 EPISODES = 4
 

@@ -16,12 +16,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from ptne_env.bench import get_suite
-from ptne_env.bench.report.style import COLOURS, FAINT, INK, drawing
-from ptne_env.bench.report.traces import Scene, scene
-from ptne_env.bench.report.video import gif
 from ptne_env.evaluation import get_policy_spec
+from ptne_env.report.traces import Scene, scene
+from ptne_env.report.video import gif
 from ptne_env.shared.files import write_atomically
+from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
+from ptne_env.suites import get_suite
 
 COLUMNS, PICTURES, PER_SECOND = 3, 60, 10
 

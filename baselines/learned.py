@@ -21,14 +21,15 @@ import numpy as np
 from publish import best_law, best_standard, markdown, plain, read, with_interval
 
 from ptne_env import PolicySpec, evaluate, get_scenario, learn, parallel_env
-from ptne_env.bench import Runner, Workers, get_suite
-from ptne_env.bench.robustness import robustness
 from ptne_env.evaluation import Results, get_policy_spec
 from ptne_env.evaluation.tracks import Teammates, Track
+from ptne_env.execution import Runner, Workers
 from ptne_env.learn import recurrent
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.suites import get_suite
+from ptne_env.suites.robustness import robustness
 from ptne_env.world import distances
 from ptne_env.world.world import World
 

@@ -40,10 +40,10 @@ import publish
 from scipy.stats import trim_mean
 
 from ptne_env import PolicySpec, VectorParallelEnv
-from ptne_env.bench import get_suite
-from ptne_env.bench.report.style import COLOURS, FAINT, INK, drawing
 from ptne_env.evaluation.run import compare
 from ptne_env.shared.files import write_atomically
+from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
+from ptne_env.suites import get_suite
 
 HOME = Path(__file__).parent
 DATA, PAGE, PICTURE = HOME / "marl.json", HOME / "marl.md", HOME / "marl.png"
@@ -181,7 +181,7 @@ def train_benchmarl(job: Job, folder: Path, report: Report) -> None:
     from benchmarl.experiment import Callback, Experiment, ExperimentConfig
     from benchmarl.models.mlp import MlpConfig
 
-    from ptne_env.learn.benchmarl import NashSeekingTask, actor
+    from ptne_env.envs.benchmarl import NashSeekingTask, actor
 
     class Reporter(Callback):
         def on_train_end(self, training_td: Any, group: str) -> None:  # noqa: ARG002 - BenchMARL's signature

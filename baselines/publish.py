@@ -19,11 +19,12 @@ from pathlib import Path
 from statistics import fmean
 
 from ptne_env import CATALOGUE, evaluate
-from ptne_env.bench import Runner, Workers, leaderboard, run_suite
-from ptne_env.bench.robustness import robustness
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, Results
 from ptne_env.evaluation.metrics import number
+from ptne_env.execution import Runner, Workers
 from ptne_env.shared.files import write_atomically
+from ptne_env.suites import leaderboard, run_suite
+from ptne_env.suites.robustness import robustness
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "baselines" / "results.csv"

@@ -15,8 +15,9 @@ from pathlib import Path
 
 from scipy import stats
 
-from ptne_env.bench import Runner, Workers, leaderboard, run_suite
 from ptne_env.evaluation import ENTERED, POLICIES, Results
+from ptne_env.execution import Runner, Workers
+from ptne_env.suites import leaderboard, run_suite
 
 SEEDS = (0, 1)
 """Of the episodes of the two rankings."""

@@ -22,9 +22,9 @@ from paper.figures import FIGURES, draw
 from paper.table import TableRow, table_one
 
 from ptne_env import __version__
-from ptne_env.bench.report.tables import Cell, Column, Table, text_table
-from ptne_env.bench.report.terminal import show
 from ptne_env.cli.console import console, progress
+from ptne_env.report.tables import Cell, Column, Table, text_table
+from ptne_env.report.terminal import show
 from ptne_env.shared.files import write_atomically
 
 RESULTS_FILE = "results.json"

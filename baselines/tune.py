@@ -16,9 +16,10 @@ import numpy as np
 from scipy.optimize import differential_evolution
 
 from ptne_env import FactorySpec, PolicySpec
-from ptne_env.bench import Runner, Workers, get_suite
 from ptne_env.evaluation import POLICIES
 from ptne_env.evaluation.run import compare
+from ptne_env.execution import Runner, Workers
+from ptne_env.suites import get_suite
 
 TUNED: dict[str, dict[str, tuple[float, float]]] = {
     "static-tuned": {"kappa": (0.5, 10.0), "gradient_gain": (0.1, 10.0)},

@@ -95,7 +95,7 @@ def tensordicts(interface: InterfaceKind, num_envs: int, *, is_wrapped: bool = F
         try:
             from torchrl.envs import PettingZooWrapper, SerialEnv
 
-            from ptne_env.learn.torchrl import TorchRLEnv
+            from ptne_env.envs.torchrl import TorchRLEnv
         except ImportError as error:
             message = f"TorchRL is left out: {error}; to compare with it: pip install torchrl"
             raise peers.MissingPeerError(message) from error

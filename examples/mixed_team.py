@@ -7,8 +7,8 @@ Run it with: python examples/mixed_team.py
 """
 
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.bench import Suite, run_suite
 from ptne_env.evaluation import Teammates, Track
+from ptne_env.suites import Suite, run_suite
 
 PAPER = FactorySpec.of("law:static", kappa=2.0)
 POLICY = "static-tuned"

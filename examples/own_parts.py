@@ -13,13 +13,13 @@ import numpy as np
 from rich.console import Console
 
 from ptne_env import get_scenario, laws
-from ptne_env.bench import Suite, run_suite
-from ptne_env.bench.report.terminal import result_tables
 from ptne_env.evaluation import Track
 from ptne_env.games import AffineGame
 from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.report.terminal import result_tables
+from ptne_env.suites import Suite, run_suite
 from ptne_env.world import graphs, switching
-from ptne_env.world.channel import Channel, LinkRandomness, Memory, Messages
+from ptne_env.world.channels import Channel, LinkRandomness, Memory, Messages
 
 
 class BeautyContest(AffineGame):

@@ -143,7 +143,7 @@ def a_channel(rng):
             "Lying": {"size": log_uniform(rng, 1e-3, 10)},
         }
         kind = rng.choice(sorted(arguments))
-        return FactorySpec.of(f"ptne_env.world.channel:{kind}", **arguments[kind])
+        return FactorySpec.of(f"ptne_env.world.channels:{kind}", **arguments[kind])
 
     return FactorySpec.of("channel:chain", stages=[stage() for _ in range(rng.randint(1, 3))])
 

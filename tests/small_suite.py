@@ -3,9 +3,9 @@
 import json
 
 import ptne_env
-from ptne_env.bench import Suite
 from ptne_env.evaluation import METRICS, Track
 from ptne_env.evaluation.provenance import content_hash
+from ptne_env.suites import Suite
 from ptne_env.world.graphs import complete
 
 BASE = ptne_env.get_scenario("random-energy", steps=120, deadline=0.2)

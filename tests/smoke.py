@@ -35,7 +35,7 @@ def play():
 def bench():
     """The command line, and a shipped policy."""
     from ptne_env import learn
-    from ptne_env.bench import find_scenario
+    from ptne_env.suites import find_scenario
 
     command = Path(sysconfig.get_path("scripts")) / "ptne"
     listed = subprocess.run([command, "list"], capture_output=True, text=True, check=True).stdout  # noqa: S603

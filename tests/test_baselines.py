@@ -13,10 +13,11 @@ import tune
 from scipy import stats
 
 from ptne_env import CATALOGUE
-from ptne_env.bench import Runner, get_suite
 from ptne_env.evaluation import ENTERED, POLICIES, EpisodeSet
 from ptne_env.evaluation.jobs import Job
 from ptne_env.evaluation.tracks import compared_tracks
+from ptne_env.execution import Runner
+from ptne_env.suites import get_suite
 
 EPISODES = 20
 """The first of the published episodes, at most."""

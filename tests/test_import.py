@@ -48,7 +48,7 @@ def test_making_an_environment_imports_no_extra():
 @pytest.mark.parametrize(
     ("framework", "module", "advice"),
     [
-        ("torchrl", "ptne_env.learn.torchrl", r'pip install "ptne-env\[torchrl\]"'),
+        ("torchrl", "ptne_env.envs.torchrl", r'pip install "ptne-env\[torchrl\]"'),
         ("stable_baselines3", "ptne_env.envs.sb3", r'pip install "ptne-env\[sb3\]"'),
     ],
 )

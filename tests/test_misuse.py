@@ -115,7 +115,7 @@ MISUSES = {
     "evaluate('static', 'energy', seed=2**32)": r"a seed is below 2\^32",
     "evaluate('static', 'energy', seed=-1)": "seed must be a whole number of at least 0, got -1",
     "evaluate('static', 'energy', split='validate')": "unknown split 'validate'; choose from train, validation, test",
-    "evaluate('static', 'energy', run=4)": r"run takes jobs, as ptne_env.bench.Runner\(folder, Workers\(4\)\) does",
+    "evaluate('static', 'energy', run=4)": r"run takes jobs, as ptne_env.execution.Runner\(folder, Workers\(4\)\) does",
     "Track('mine', 'energy', 'A change.', scored='no')": "scored of track 'mine' must be True or False, got 'no'",
     r"Track('\x1b[2K', 'energy', 'A change.')": "the name of a track must be a text of printable",
     "POLICIES['static'].build('energy')": r"Static is built from a layout, such as env\.layout, got a str",

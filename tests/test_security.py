@@ -19,12 +19,12 @@ from small_suite import write_results
 from typer.testing import CliRunner
 
 from ptne_env import Scenario, get_scenario
-from ptne_env.bench import Suite, run_suite
-from ptne_env.bench.files import read_results
-from ptne_env.bench.verification import verify
 from ptne_env.cli import app, options
 from ptne_env.evaluation import Track, get_policy_spec
+from ptne_env.execution.result_files import read_results
+from ptne_env.execution.verification import verify
 from ptne_env.shared.parts import foreign_targets
+from ptne_env.suites import Suite, run_suite
 from ptne_env.world.world import World
 
 TEXT = (Path(__file__).parents[1] / "SECURITY.md").read_text(encoding="utf-8")

@@ -58,7 +58,7 @@ BLOCKS_SWITCHING = BLOCKS.replace(
 
 def channel_part(kind, **arguments):
     """The part that builds a stage of a channel."""
-    return FactorySpec.of(f"ptne_env.world.channel:{kind}", **arguments)
+    return FactorySpec.of(f"ptne_env.world.channels:{kind}", **arguments)
 
 
 EVERY_FAULT = channel_part(

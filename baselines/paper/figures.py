@@ -13,7 +13,7 @@ import numpy as np
 
 from paper.continuous import Run
 from paper.experiments import DEADLINE, DWELLS, GAIN, GAMMA, HOLD, KAPPA, Experiments
-from ptne_env.bench.report.style import COLOURS, FAINT, INK, drawing
+from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
 from ptne_env.world.clock import Exponential
 from ptne_env.world.graphs import Graph, cycle
 from ptne_env.world.switching import TopologyClock

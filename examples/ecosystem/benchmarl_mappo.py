@@ -13,7 +13,7 @@ from tensordicts import law_digits
 from torchrl.envs import EnvBase, check_env_specs
 from yardstick import EPISODES, LAW, SCENARIO, digits, report
 
-from ptne_env.learn.benchmarl import NashSeekingTask, actor
+from ptne_env.envs.benchmarl import NashSeekingTask, actor
 
 
 def train(task: NashSeekingTask, num_envs: int) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from torchrl.objectives import ClipPPOLoss
 from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, report
 
 import ptne_env
-from ptne_env.learn.torchrl import TorchRLEnv
+from ptne_env.envs.torchrl import TorchRLEnv
 
 
 def network(inputs: int, outputs: int) -> nn.Sequential:

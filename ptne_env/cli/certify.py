@@ -8,12 +8,12 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from ptne_env import theory
-from ptne_env.bench.report.certificates import certificate_tables
-from ptne_env.bench.report.terminal import show
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, console, json_text, say, write_json
 from ptne_env.evaluation import POLICIES
+from ptne_env.report.certificates import certificate_tables
+from ptne_env.report.terminal import show
 
 
 @app.command(cls=Command)

@@ -9,16 +9,17 @@ from typing import Annotated
 
 import typer
 
-from ptne_env.bench import Runner, Workers, run_suite
-from ptne_env.bench.report import comparison
-from ptne_env.bench.report.terminal import answer_tables, result_tables
-from ptne_env.bench.suite import SUITES, get_suite, world_names
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, ExitCode, app
 from ptne_env.cli.console import STDOUT, check_writable, console, progress, say, write_json
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
 from ptne_env.evaluation.run import EPISODES
+from ptne_env.execution import Runner, Workers
+from ptne_env.report import comparison
+from ptne_env.report.terminal import answer_tables, result_tables
 from ptne_env.shared.files import write_atomically
+from ptne_env.suites import run_suite
+from ptne_env.suites.suite import SUITES, get_suite, world_names
 
 SUITE = "ptne-v1"
 """The suite that is run where neither a suite nor a scenario is named."""

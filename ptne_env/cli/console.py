@@ -17,7 +17,7 @@ from rich.segment import Segment
 from rich.table import Column
 from rich.text import Text
 
-from ptne_env.bench.files import require_writable
+from ptne_env.execution.result_files import require_writable
 from ptne_env.shared.files import write_atomically
 
 _PIPE_WIDTH = 172

@@ -10,11 +10,11 @@ import typer
 from rich.padding import Padding
 from rich.text import Text
 
-from ptne_env.bench.suite import SUITES, get_suite
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, console, json_text, write_json
 from ptne_env.evaluation import METRICS, POLICIES
+from ptne_env.suites.suite import SUITES, get_suite
 from ptne_env.world.catalogue import CATALOGUE, DESCRIPTIONS
 from ptne_env.world.world import World
 

@@ -10,10 +10,10 @@ from typing import Annotated, Any, TypeAlias
 
 import typer
 
-from ptne_env.bench.suite import find_scenario, world_names
 from ptne_env.cli.console import keep_stdout
 from ptne_env.evaluation import POLICIES
 from ptne_env.shared.parts import foreign_targets, is_part
+from ptne_env.suites.suite import find_scenario, world_names
 from ptne_env.world.catalogue import get_scenario
 from ptne_env.world.scenario import Scenario
 

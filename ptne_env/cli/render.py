@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from ptne_env.bench.report.video import MOST_PICTURES, save_video
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, progress, say
 from ptne_env.evaluation import get_policy_spec
+from ptne_env.report.video import MOST_PICTURES, save_video
 
 
 @app.command(cls=Command)

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from ptne_env.bench import find_scenario
-from ptne_env.bench.suite import LAW
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
 from ptne_env.evaluation import METRICS
 from ptne_env.learn import training
+from ptne_env.suites import find_scenario
+from ptne_env.suites.suite import LAW
 
 if TYPE_CHECKING:
     from ptne_env.learn.training.configuration import Configuration, Summary

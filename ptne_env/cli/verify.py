@@ -8,14 +8,14 @@ from typing import Annotated
 
 import typer
 
-from ptne_env.bench.files import read_results
-from ptne_env.bench.report.certificates import verification_tables
-from ptne_env.bench.report.terminal import show
-from ptne_env.bench.verification import SAMPLE
-from ptne_env.bench.verification import verify as run_verification
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, ExitCode, app
 from ptne_env.cli.console import check_writable, console, json_text, progress, say, write_json
+from ptne_env.execution.result_files import read_results
+from ptne_env.execution.verification import SAMPLE
+from ptne_env.execution.verification import verify as run_verification
+from ptne_env.report.certificates import verification_tables
+from ptne_env.report.terminal import show
 from ptne_env.shared.parts import foreign_targets
 
 

@@ -11,11 +11,11 @@ from gymnasium import spaces
 from numpy.ma import MaskedArray
 from pettingzoo import ParallelEnv
 
+from ptne_env.envs.rendering import Renderer
 from ptne_env.envs.simulation import Simulation, changed_scenario, initial_estimates, player_encoder, require_options
 from ptne_env.perception.encoder import NonFiniteActionError
 from ptne_env.perception.observation import OBSERVATION_BOUND, Interface, InterfaceKind, ObservationLayout
 from ptne_env.shared.arrays import Float32Array, FloatArray
-from ptne_env.shared.parts import RENDERER, FactorySpec
 from ptne_env.world import dynamics
 from ptne_env.world.catalogue import CATALOGUE
 from ptne_env.world.dynamics import State
@@ -98,7 +98,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self.state_space = spaces.Box(
             -OBSERVATION_BOUND, OBSERVATION_BOUND, (players * (n + players) + 4,), dtype=np.float32
         )
-        self._renderer = FactorySpec.of(RENDERER, mode=render_mode).build(world=self.world) if render_mode else None
+        self._renderer = Renderer(self.world, render_mode) if render_mode else None
         self._actions_shape = (1, players, self.layout.action_size)
         self._table: tuple[Float32Array, list[Float32Array]] | None = None
         self._np_random: np.random.Generator | None = None

@@ -41,8 +41,8 @@ def evaluate(
         episodes: number of random starts; a track in which nothing is random has one episode.
         seed: of the episode sets.
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
-        run: gives the results of jobs: one after the other in this process, or as :class:`ptne_env.bench.Runner` does,
-            which stores them in a folder, runs many at a time and shows progress.
+        run: gives the results of jobs: one after the other in this process, or as :class:`ptne_env.execution.Runner`
+            does, which stores them in a folder, runs many at a time and shows progress.
 
     Raises:
         ValueError: for unknown or repeated names, or when no policy fits any track.
@@ -51,7 +51,7 @@ def evaluate(
     """
     require_count("episodes", episodes, 1)
     if not callable(run):
-        raise TypeError(f"run takes jobs, as ptne_env.bench.Runner(folder, Workers(4)) does; got {run!r}")
+        raise TypeError(f"run takes jobs, as ptne_env.execution.Runner(folder, Workers(4)) does; got {run!r}")
     tracks = compared_tracks(several(scenarios))
     sets = {track.name: EpisodeSet(track.episodes or episodes, seed, split) for track in tracks}
     return compare("comparison", tracks, [get_policy_spec(policy) for policy in several(policies)], sets, run)

@@ -28,7 +28,7 @@ from ptne_env.theory.closed_loop import (
 )
 from ptne_env.theory.conditions import Condition, condition, problem_constants
 from ptne_env.world import distances
-from ptne_env.world.channel import Chain
+from ptne_env.world.channels import Chain
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import RANGE_LIMIT, SHORTFALL_WARNING, World
 

@@ -16,8 +16,17 @@ from functools import singledispatch
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from ptne_env.field.laws import ContactRelay, ProjectedGradient, ProximalBestResponse, RoutedUnknown
-from ptne_env.laws import Adaptive, AdaptiveGrounded, Grounded, Law, Static
+from ptne_env.laws import (
+    Adaptive,
+    AdaptiveGrounded,
+    ContactRelay,
+    Grounded,
+    Law,
+    ProjectedGradient,
+    ProximalBestResponse,
+    RoutedUnknown,
+    Static,
+)
 from ptne_env.shared.arrays import FloatArray, IntArray
 from ptne_env.theory.closed_loop import last_modes
 from ptne_env.theory.constants import (
@@ -277,7 +286,7 @@ def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition
 def delayed_play_radius(jacobian: FloatArray, delays: IntArray, step: float) -> float:
     """Spectral radius of e_c(k+1) = e_c(k) − η Σ_b dF_cb e_b(k − d_cb).
 
-    It is the loop of :class:`~ptne_env.field.laws.RoutedUnknown` on a fixed graph after the first steps, where no bound
+    It is the loop of :class:`~ptne_env.laws.RoutedUnknown` on a fixed graph after the first steps, where no bound
     becomes or ceases to be active: below 1 exactly where the law settles. The estimates of the other players are late
     copies, which add zeros to the eigenvalues.
 

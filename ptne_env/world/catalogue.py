@@ -110,7 +110,7 @@ def get_scenario(scenario: str | Scenario, *, players: int | None = None, **over
             if separator:
                 raise ValueError(
                     f"{scenario!r} is no scenario; if it is the track of a suite, give "
-                    f"ptne_env.bench.get_suite({suite!r}).track({track!r}).scenario"
+                    f"ptne_env.suites.get_suite({suite!r}).track({track!r}).scenario"
                 )
             raise ValueError(unknown_name("scenario", scenario, CATALOGUE))
         scenario = CATALOGUE[scenario]

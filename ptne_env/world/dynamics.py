@@ -27,9 +27,9 @@ from ptne_env.shared.arrays import (
     without_gradient,
 )
 from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.world import channel as channels
-from ptne_env.world.channel import LinkRandomness, Memory, Messages
-from ptne_env.world.faults import Disturbance
+from ptne_env.world import channels
+from ptne_env.world.channels import LinkRandomness, Memory, Messages
+from ptne_env.world.disturbances import Disturbance
 from ptne_env.world.world import RANGE_LIMIT, ComponentOrder, EpisodeRandomness, World
 
 PHYSICS = 1

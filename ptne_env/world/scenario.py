@@ -88,8 +88,8 @@ class Scenario:
         spacing: ``"effective"``, ``"transformed"`` or ``"physical"``; see :class:`~ptne_env.world.clock.StepClock`.
         hold_steps: steps after the deadline.
         input_limit: largest |u| of every component, the same for every policy.
-        channel: builds a :class:`~ptne_env.world.channel.Channel`, the path of messages; ``"perfect"``.
-        disturbance: builds a :class:`~ptne_env.world.faults.Disturbance` of the strategies' velocities, if any.
+        channel: builds a :class:`~ptne_env.world.channels.Channel`, the path of messages; ``"perfect"``.
+        disturbance: builds a :class:`~ptne_env.world.disturbances.Disturbance` of the strategies' velocities, if any.
         slots: neighbour slots per player, unused ones being padded, so that graphs of different degrees have one
             layout; the largest degree in the union graph if ``None``.
         message_range: R, the range of every link: messages are clipped to ±R before the channel, and players know R. No

@@ -15,9 +15,9 @@ from ptne_env.shared.arrays import FloatArray, IntArray, frozen, require_count, 
 from ptne_env.shared.counter_random import CounterArray
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.world.channel import Chain, Channel, Range
+from ptne_env.world.channels import Chain, Channel, Range
 from ptne_env.world.clock import StepClock, TimeTransformation
-from ptne_env.world.faults import Disturbance
+from ptne_env.world.disturbances import Disturbance
 from ptne_env.world.graphs import Graph
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.starts import Start

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from sample_games import generators
 
-from ptne_env.field.games import RandomAffine
-from ptne_env.games import AffineGame, NoBestResponseError, require_strong_monotonicity
+from ptne_env.games import AffineGame, NoBestResponseError, RandomAffine, require_strong_monotonicity
 
 
 def skew_part(game):

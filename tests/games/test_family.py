@@ -4,8 +4,16 @@ from sample_games import generators
 from worlds import make_env
 
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.field.games import CoupledConstraint, RandomAffine, RandomSaturating
-from ptne_env.games import EnergyGame, NonQuadraticGame, RandomEnergy, SingleGame, require_strong_monotonicity
+from ptne_env.games import (
+    CoupledConstraint,
+    EnergyGame,
+    NonQuadraticGame,
+    RandomAffine,
+    RandomEnergy,
+    RandomSaturating,
+    SingleGame,
+    require_strong_monotonicity,
+)
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.theory import monotonicity_constants
 from ptne_env.world.world import World

@@ -5,18 +5,22 @@ import pytest
 from sample_games import BlockGame
 
 from ptne_env import theory
-from ptne_env.field.games import (
+from ptne_env.games import (
+    AffineGame,
     ConnectivityControl,
     ElectricVehicleCharging,
+    EnergyGame,
     NetworkedCournot,
+    NonQuadraticGame,
     Oligopoly,
     RandomAffine,
+    RandomEnergy,
     RandomSaturating,
     RateControl,
     WeaklyMonotoneGame,
+    require_strong_monotonicity,
     robots,
 )
-from ptne_env.games import AffineGame, EnergyGame, NonQuadraticGame, RandomEnergy, require_strong_monotonicity
 from ptne_env.theory import check_game
 
 HVAC = EnergyGame(target=(50, 55, 60, 65, 70), coupling=0.04, base_price=5.0)

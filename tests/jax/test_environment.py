@@ -13,10 +13,10 @@ from scipy import stats
 from worlds import FAULTY
 
 import ptne_env.jax
-from ptne_env.bench import get_suite
 from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.suites import get_suite
 from ptne_env.world import dynamics
-from ptne_env.world.faults import Disturbance
+from ptne_env.world.disturbances import Disturbance
 from ptne_env.world.starts import Start
 
 
@@ -103,7 +103,9 @@ def test_a_world_without_64_bit_numbers_says_what_to_set_and_sets_nothing():
 
 
 def test_jax_is_imported_by_ptne_env_jax_alone_and_its_settings_stay():
-    imports = "import sys, ptne_env, ptne_env.bench, ptne_env.field.laws; assert 'jax' not in sys.modules"
+    imports = (
+        "import sys, ptne_env, ptne_env.execution, ptne_env.suites, ptne_env.laws; assert 'jax' not in sys.modules"
+    )
     run_python("-c", f"{imports}; import ptne_env.jax, jax; assert not jax.config.jax_enable_x64")
 
 

@@ -14,9 +14,9 @@ from worlds import FAULTY
 
 import ptne_env.jax
 from ptne_env import CATALOGUE
-from ptne_env.bench import get_suite
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.suites import get_suite
 from ptne_env.world import dynamics
 from ptne_env.world.rewards import Reward
 

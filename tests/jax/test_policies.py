@@ -15,11 +15,11 @@ import pytest
 import ptne_env
 import ptne_env.jax
 from ptne_env import PolicySpec, laws
-from ptne_env.bench import get_suite
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import LayoutError
 from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.suites import get_suite
 from ptne_env.world import dynamics
 
 SCENARIO = "random-energy-switching-transformed"

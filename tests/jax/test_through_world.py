@@ -10,11 +10,11 @@ jax = pytest.importorskip("jax")
 import numpy as np
 
 import ptne_env.jax
-from ptne_env.bench import get_suite
 from ptne_env.learn import load, recurrent
 from ptne_env.learn.training import through_world
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.suites import get_suite
 from ptne_env.world import dynamics
 
 SHORT = through_world.Settings(

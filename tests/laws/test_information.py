@@ -6,10 +6,10 @@ And relabelling the players permutes the results: no law prefers a player for it
 import numpy as np
 import pytest
 from affine_games import SOAK
+from ptne_env.field import laws as field_laws
 from worlds import energy_scenario, fixed_part, make_env, play, world_and_encoder
 
 from ptne_env import FactorySpec, laws
-from ptne_env.field import laws as field_laws
 from ptne_env.world import dynamics
 
 RELATIVE = {

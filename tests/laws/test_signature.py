@@ -4,10 +4,10 @@ import inspect
 
 import numpy as np
 import pytest
+from ptne_env.field import laws as field_laws
 from worlds import BLOCKS, world_and_encoder
 
 from ptne_env import Policy, laws
-from ptne_env.field import laws as field_laws
 from ptne_env.perception.policy import PolicyError
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics

@@ -16,8 +16,8 @@ from policy_files import OBSERVATION, first_entries, metadata, network, write
 
 import ptne_env
 from ptne_env import Interface, learn
-from ptne_env.bench import find_scenario
 from ptne_env.learn import Metadata, PolicyFileError
+from ptne_env.suites import find_scenario
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ import pytest
 
 import ptne_env
 from ptne_env import learn
-from ptne_env.bench import get_suite
 from ptne_env.learn import PolicyFileError, PolicyLayoutError, recurrent
+from ptne_env.suites import get_suite
 
 WEIGHTS = recurrent.initial_weights(np.random.default_rng(0), hidden=6, slot_hidden=4)
 CONTENT = recurrent.sealed(WEIGHTS, {"seed": 0})

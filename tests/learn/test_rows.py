@@ -16,7 +16,6 @@ from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
 
 from ptne_env import get_scenario, learn
-from ptne_env.bench import get_suite
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import POLICIES, get_policy_spec
 from ptne_env.learn.archive import load_archive
@@ -24,6 +23,7 @@ from ptne_env.learn.learned import PolicyFileError
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import LayoutError
 from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.suites import get_suite
 from ptne_env.world import dynamics
 from ptne_env.world.world import World
 

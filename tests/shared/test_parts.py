@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from processes import run_python
 
 from ptne_env import FactorySpec, Scenario, get_scenario
-from ptne_env.bench import get_suite
 from ptne_env.games import AffineGame, EnergyGame, RandomEnergy
 from ptne_env.shared.parts import PARTS, foreign_targets, is_part, resolve
-from ptne_env.world import channel, graphs, switching
+from ptne_env.suites import get_suite
+from ptne_env.world import channels, graphs, switching
 from ptne_env.world.catalogue import CATALOGUE
 from ptne_env.world.scenario import PART_FIELDS
 from ptne_env.world.starts import FixedStart, UniformStart
@@ -114,7 +114,7 @@ def test_scenarios_and_suites_of_the_library_name_parts_alone():
         "os:system",
         "builtins:eval",
         "ptne_env.shared.files:write_atomically",
-        "ptne_env.world.channel:replace",
+        "ptne_env.world.channels:replace",
         "ptne_env.laws:NoSuchLaw",
         "ptne_env.laws",
         "law:no-such-law",
@@ -199,9 +199,10 @@ def wheel():
         (Contest(0.25), FactorySpec.of(f"{__name__}:Contest", pull=0.25)),
         (wheel, FactorySpec.of(f"{__name__}:wheel")),
         (
-            channel.Chain([channel.AdditiveNoise(0.1)]),
+            channels.Chain([channels.AdditiveNoise(0.1)]),
             FactorySpec.of(
-                "ptne_env.world.channel:Chain", stages=[FactorySpec.of("ptne_env.world.channel:AdditiveNoise", std=0.1)]
+                "ptne_env.world.channels:Chain",
+                stages=[FactorySpec.of("ptne_env.world.channels:AdditiveNoise", std=0.1)],
             ),
         ),
         (RandomEnergy(5), FactorySpec.of("ptne_env.games:RandomEnergy", players=5)),

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
+from ptne_env.field import laws as field_laws
 from sample_laws import condition_on
 from worlds import fixed_part
 
 from ptne_env import CATALOGUE, get_scenario, laws, theory
-from ptne_env.field import laws as field_laws
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.parts import PARTS
 from ptne_env.world.world import World

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ptne_env.bench.report.style import COLOURS, INK, drawing
-from ptne_env.bench.report.tables import leaders
 from ptne_env.evaluation import COMPARED, METRICS, POLICIES, Results, evaluate
+from ptne_env.report.tables import leaders
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import write_atomically
+from ptne_env.shared.style import COLOURS, INK, drawing
 from ptne_env.world.scenario import Scenario
 
 

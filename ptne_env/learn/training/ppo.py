@@ -22,13 +22,13 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback, EvalCallback
 from stable_baselines3.common.utils import LinearSchedule
 
-from ptne_env.bench import find_scenario
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import PolicySpec, evaluate
 from ptne_env.learn.learned import load
 from ptne_env.learn.training.configuration import CONFIGURATION, SUMMARY, Configuration, Summary, finished, write_record
 from ptne_env.learn.training.export import to_onnx
 from ptne_env.shared.files import write_atomically
+from ptne_env.suites import find_scenario
 from ptne_env.world.scenario import Scenario
 
 POLICY = "policy.onnx"

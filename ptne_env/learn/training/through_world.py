@@ -26,7 +26,6 @@ import optax
 from optax.contrib import MuonDimensionNumbers, muon
 
 import ptne_env.jax
-from ptne_env.bench.suite import find_scenario
 from ptne_env.evaluation.tracks import Track
 from ptne_env.learn.learned import load
 from ptne_env.learn.recurrent import (
@@ -44,6 +43,7 @@ from ptne_env.learn.recurrent import (
 from ptne_env.learn.training.configuration import CONFIGURATION, SUMMARY, Summary, finished, write_record
 from ptne_env.shared.arrays import require_count, require_positive, require_probability, without_gradient
 from ptne_env.shared.files import write_atomically
+from ptne_env.suites.suite import find_scenario
 from ptne_env.world import distances
 
 POLICY = "policy.npz"

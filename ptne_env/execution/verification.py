@@ -1,0 +1,263 @@
+"""Verification of published results: their tables are rebuilt, and a sample of their jobs runs again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ptne_env.evaluation.entries import POLICIES
+from ptne_env.evaluation.jobs import Job, JobResult
+from ptne_env.evaluation.metrics import METRICS
+from ptne_env.evaluation.provenance import arithmetic, file_hash, versions
+from ptne_env.evaluation.results import Results
+from ptne_env.evaluation.statistics import estimate
+from ptne_env.execution.result_files import read_results, results_of
+from ptne_env.shared.arrays import FloatArray, require_count
+from ptne_env.shared.parts import LOADER, foreign_targets
+from ptne_env.suites.suite import LAW, ORACLE, SUITES, ZERO, get_suite
+
+SAMPLE = 2
+"""Jobs of every entry that run again; of a reference policy, one."""
+
+ROUNDING = 1e-6
+"""Largest |new − old|/(1 + |old|) of a value that repeats: it is rounded to seven decimals."""
+
+_SUMS = 1e-9
+"""The same for numbers in tables, which differ by the order of sums alone."""
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """A job that was run again.
+
+    Attributes:
+        track: name.
+        policy: name.
+        training_seed: index.
+        difference: the largest |new − old|/(1 + |old|) of any value; ``None`` where one run has a value that the other
+            has not.
+        agrees: whether it repeats; on another arithmetic, whether the 95 % intervals of all metrics overlap.
+        reason: why the new run has no numbers; ``None`` where it has.
+    """
+
+    track: str
+    policy: str
+    training_seed: int
+    difference: float | None
+    agrees: bool
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class Verification:
+    """The outcome of a verification.
+
+    Attributes:
+        differences: what is wrong with the tables and samples, one text each.
+        repetitions: the jobs that were run again.
+        jobs: the number of all jobs.
+        same_arithmetic: whether this machine has the processor's extensions, the BLAS kernels and the versions of
+            libraries that the results were computed with. On others, rounding differs, and jobs are judged by
+            statistics.
+    """
+
+    differences: tuple[str, ...]
+    repetitions: tuple[Repetition, ...]
+    jobs: int
+    same_arithmetic: bool
+
+    @property
+    def passes(self) -> bool:
+        """Whether the tables follow from the samples, and all repeated jobs agree."""
+        return not self.differences and all(repetition.agrees for repetition in self.repetitions)
+
+
+def verify(
+    path: Path,
+    *,
+    sample: int = SAMPLE,
+    seed: int | None = None,
+    trust: bool = False,
+    progress: Callable[[str, int], None] | None = None,
+) -> Verification:
+    """Rebuild the tables of published results from their samples, and run some of their jobs again.
+
+    The decisions of each of these jobs are audited thoroughly.
+
+    Args:
+        path: of a file ``results.json``, or of its folder. The files of policies are found by their SHA-256 in the
+            folder, or at the paths that the results name.
+        sample: number of jobs of every entry.
+        seed: of the choice of jobs; unpredictable if left out.
+        trust: whether code outside this library that the results name may be executed.
+        progress: called with ``"track: policy"`` and the number of jobs to run when a job is done.
+
+    Raises:
+        OSError: when there are no results, or a file of a policy is missing.
+        ValueError: when the file is damaged, too large or of another kind, the results name code from outside the
+            library and ``trust`` is not set, or a policy was an object of another process.
+    """
+    require_count("sample", sample, 1)
+    data = read_results(path)
+    if not trust and (foreign := foreign_targets(data)):
+        raise ValueError(
+            f"{path} names code outside this library, which a verification executes: {', '.join(foreign)}. Say that "
+            "you trust it (--trust)"
+        )
+    folder = path if path.is_dir() else path.parent
+    data = {**data, "policies": [_with_files(policy, folder) for policy in data["policies"]]}
+    results = results_of(data)
+    differences = [*_differences_of_rules(results, data), *_differences_of_samples(results)]
+    if not differences:
+        differences = list(_differences_of_tables(results, data))
+    same = data["arithmetic"] == arithmetic() and data["versions"] == versions(data["versions"])
+    chosen, jobs = _chosen(results, sample, np.random.default_rng(seed))
+    repetitions = []
+    for job in chosen:
+        repetitions.append(_repeat(results, job, same_arithmetic=same))
+        if progress is not None:
+            progress(f"{job.track.name}: {job.policy.name}", len(chosen))
+    return Verification(tuple(differences), tuple(repetitions), jobs, same)
+
+
+def _with_files(policy: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """A policy of results whose files are those in the folder of the results, where they are there.
+
+    Raises:
+        ValueError: when a file is not the one that was run.
+    """
+    here = {file_hash(file): str(file) for file in folder.rglob("*") if file.suffix in (".onnx", ".npz")}
+    seeds = []
+    for seed in policy["training_seeds"]:
+        if seed.get("target") == LOADER and seed["sha256"] in here:
+            seed = {**seed, "arguments": {**seed["arguments"], "path_or_name": here[seed["sha256"]]}}  # noqa: PLW2901
+        seeds.append(seed)
+    return {**policy, "training_seeds": seeds}
+
+
+def _differences_of_rules(results: Results, data: Mapping[str, Any]) -> Iterator[str]:
+    """Where the policies' files, or the rules of a published suite, are others."""
+    for spec, published in zip(results.policies.values(), data["policies"], strict=True):
+        hashes = [[seed.get("sha256") for seed in each["training_seeds"]] for each in (spec.to_dict(), published)]
+        if hashes[0] != hashes[1]:
+            yield f"the files of policy {spec.name} are not those that were run"
+        if spec.name in (ZERO, LAW, ORACLE) and spec != POLICIES[spec.name]:
+            yield f"policy {spec.name} is not the reference policy of this name"
+    if results.target is None or results.target not in SUITES:
+        return
+    suite = get_suite(results.target)
+    for name in {reference.name for reference in suite.references} - results.policies.keys():
+        yield f"the reference policy {name} is missing"
+    for track in results.tracks:
+        count = results.episodes[track.name]
+        if track not in suite.tracks:
+            yield f"track {track.name} is not that of {suite.name}"
+        elif results.episode_sets[track.name] != suite.episode_set(track.name, count, seed=results.seed):
+            yield f"the episodes of track {track.name} are not those of {suite.name}"
+
+
+def _differences_of_samples(results: Results) -> Iterator[str]:
+    """Where samples are missing, or no run could give them."""
+    names = {name for name, metric in METRICS.items() if metric.value is not None}
+    for track in results.tracks:
+        for policy, spec in results.policies.items():
+            place, shape = (track.name, policy), (len(spec.training_seeds), results.episodes[track.name])
+            kinds = (results.samples, results.not_applicable, results.failures)
+            if sum(place in kind for kind in kinds) != 1:
+                yield f"{policy} on {track.name} has no result, or more than one"
+                continue
+            samples = results.samples.get(place, {})
+            if place in results.samples and samples.keys() != names:
+                yield f"{policy} on {track.name} has other metrics than a run gives"
+            for metric, values in samples.items():
+                if values.shape != shape:
+                    yield f"{metric} of {policy} on {track.name} has the shape {values.shape}, expected {shape}"
+                elif metric in METRICS and not METRICS[metric].admits(values):
+                    yield f"{metric} of {policy} on {track.name} is outside its range {METRICS[metric].range}"
+
+
+def _differences_of_tables(results: Results, data: Mapping[str, Any]) -> Iterator[str]:
+    """Where a record does not follow from the samples."""
+    rebuilt = {_name(record): record for record in results.records if not METRICS[record["metric"]].is_timing}
+    published = {_name(record): record for record in data["records"]}
+    for name in rebuilt.keys() | published.keys():
+        mine, theirs = rebuilt.get(name), published.get(name)
+        if mine is None or theirs is None or len(published) != len(data["records"]):
+            yield f"the record of {name} is missing, or there are too many"
+        elif mine.keys() != theirs.keys() or not all(_is_same(theirs[key], mine[key]) for key in mine):
+            yield f"the record of {name} is {theirs}, the samples give {mine}"
+
+
+def _name(record: Mapping[str, Any]) -> str:
+    return f"{record.get('metric')} of {record.get('policy')} on {record.get('track')}"
+
+
+def _is_same(found: Any, rebuilt: Any) -> bool:
+    if isinstance(rebuilt, float) and isinstance(found, float):
+        return abs(found - rebuilt) <= _SUMS * (1 + abs(rebuilt))
+    return type(found) is type(rebuilt) and bool(found == rebuilt)
+
+
+def _chosen(results: Results, sample: int, generator: np.random.Generator) -> tuple[list[Job], int]:
+    """Some jobs of every policy, and the number of all jobs."""
+    found, total = [], 0
+    for spec in results.policies.values():
+        jobs = [
+            Job(track, spec, training_seed, results.episode_sets[track.name])
+            for track in results.tracks
+            for training_seed in range(len(spec.training_seeds))
+        ]
+        count = 1 if spec.name in (ZERO, LAW, ORACLE) else sample
+        found += [jobs[index] for index in sorted(generator.permutation(len(jobs))[:count])]
+        total += len(jobs)
+    return found, total
+
+
+def _repeat(results: Results, job: Job, *, same_arithmetic: bool) -> Repetition:
+    """Run a job again."""
+    place, new = (job.track.name, job.policy.name), job.compute(thorough=True)
+    repetition = partial(Repetition, *place, job.training_seed, reason=new.not_applicable or new.failure)
+    if place in results.not_applicable:
+        return repetition(difference=0.0, agrees=new.not_applicable is not None)
+    if place in results.failures:  # of several training seeds, another one may have failed
+        return repetition(difference=0.0, agrees=new.failure is not None or len(job.policy.training_seeds) > 1)
+    if not new.samples:
+        return repetition(difference=None, agrees=False)
+    old = {name: values[job.training_seed] for name, values in results.samples.get(place, {}).items()}
+    difference = _difference(old, new)
+    if same_arithmetic:
+        return repetition(difference=difference, agrees=difference is not None and difference <= ROUNDING)
+    agrees = all(_overlap(old[name], new.samples[name]) for name in _repeated(old))
+    return repetition(difference=difference, agrees=agrees and old.keys() == new.samples.keys())
+
+
+def _repeated(samples: Mapping[str, FloatArray]) -> list[str]:
+    """The metrics that another run repeats: all but timings."""
+    return [name for name in samples if name in METRICS and not METRICS[name].is_timing]
+
+
+def _difference(old: Mapping[str, FloatArray], new: JobResult) -> float | None:
+    """The largest |new − old|/(1 + |old|); ``None`` where one has a value and the other has none."""
+    largest = 0.0
+    for name in _repeated(old):
+        mine, theirs = new.samples.get(name), old[name]
+        if mine is None or mine.shape != theirs.shape or (np.isnan(mine) != np.isnan(theirs)).any():
+            return None
+        largest = max(largest, float(np.nanmax(np.abs(mine - theirs) / (1 + np.abs(theirs)), initial=0.0)))
+    return largest
+
+
+def _overlap(old: FloatArray, new: FloatArray) -> bool:
+    """Whether the 95 % intervals of two means overlap, up to rounding; one episode tells nothing of a distribution."""
+    if old.size < 2 or old.shape != new.shape:
+        return old.shape == new.shape
+    mine, theirs = estimate([new[None]]), estimate([old[None]])
+    if mine.mean is None or theirs.mean is None:
+        return mine.mean is theirs.mean
+    slack = 1e-3 * (1 + abs(theirs.mean))
+    return mine.low - slack <= theirs.high and theirs.low - slack <= mine.high  # type: ignore[operator]

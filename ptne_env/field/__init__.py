@@ -1,1 +1,0 @@
-"""More games and laws, of the literature and our own."""

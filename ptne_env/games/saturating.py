@@ -1,0 +1,153 @@
+"""Random games that are strongly monotone and not affine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ptne_env.games.affine import AffineGame, times
+from ptne_env.games.base import Game
+from ptne_env.games.family import GameFamily, require_strong_monotonicity
+from ptne_env.games.random_affine import RandomAffine
+from ptne_env.games.variational import solve_box
+from ptne_env.shared.arrays import FloatArray, array_namespace, frozen, ordered_sum, require_non_negative
+
+
+class SaturatingGame(AffineGame):
+    """F(x) = A (x − x*) + Mᵀ (tanh(M x − r) − tanh(M x* − r)), a game with prices that saturate.
+
+    J_i is that of :class:`AffineGame` and Σ_l log cosh((M x − r)_l), convex in x and the same for all players; dF =
+    A + Mᵀ diag(1/cosh²(M x − r)) M, so F is strongly monotone and Lipschitz wherever A is positive definite, with
+    ε ≥ ε(A) and ι ≤ ‖A‖ + ‖M‖². The game is given by its equilibrium x*, which is therefore exact.
+
+    Args:
+        matrix: A, (n, n) or (n, n, G), as in :class:`AffineGame`.
+        prices: M, (m, n) or (m, n, G).
+        shift: r, (m,) or (m, G).
+        equilibrium: x*, (n,) or (n, G).
+        action_dims: n_i of each player; by default 1 for all.
+
+    Raises:
+        ValueError: when shapes disagree, or as :class:`AffineGame`.
+    """
+
+    is_affine = False
+    parameters: ClassVar[tuple[str, ...]] = ("matrix", "prices", "shift", "equilibrium")
+
+    def __init__(
+        self,
+        matrix: npt.ArrayLike,
+        prices: npt.ArrayLike,
+        shift: npt.ArrayLike,
+        equilibrium: npt.ArrayLike,
+        action_dims: Sequence[int] | None = None,
+    ) -> None:
+        known = np.asarray(equilibrium, dtype=np.float64)
+        super().__init__(matrix, known, action_dims)
+        rows, shifts = np.asarray(prices, dtype=np.float64), np.asarray(shift, dtype=np.float64)
+        rows, shifts = rows.reshape(*rows.shape[:2], -1), shifts.reshape(len(shifts), -1)
+        if rows.shape != (len(rows), self.dimension, self.batch_size) or shifts.shape != (len(rows), self.batch_size):
+            raise ValueError(
+                f"SaturatingGame: prices are (m, {self.dimension}) and shift (m,), with a last axis for games where "
+                f"there are several; got {np.shape(prices)} and {np.shape(shift)}"
+            )
+        self.prices, self.shift = frozen(rows), frozen(shifts)
+        self.equilibrium = self.offset
+        self.offset = frozen(-times(self.matrix, self.equilibrium) - self._pull(self.equilibrium))
+
+    @cached_property
+    def _transposed_prices(self) -> FloatArray:
+        return frozen(self.prices.transpose(1, 0, 2))
+
+    def _pull(self, strategies: FloatArray) -> FloatArray:
+        """Mᵀ tanh(M x − r): (n, B) to (n, B)."""
+        xp = array_namespace(strategies)
+        return times(self._transposed_prices, xp.tanh(times(self.prices, strategies) - self.shift))
+
+    def costs(self, strategies: FloatArray) -> FloatArray:
+        """J_i(x): (n, B) to (N, B)."""
+        load = times(self.prices, strategies) - self.shift
+        return super().costs(strategies) + ordered_sum(array_namespace(load).logaddexp(load, -load) - np.log(2))
+
+    def own_gradients(self, estimates: FloatArray) -> FloatArray:
+        """Block i is that of F at x^i: (n, N, B) to (n, B)."""
+        load = ordered_sum(self.prices[:, :, None] * estimates[None], axis=1) - self.shift[:, None]
+        shares = self._transposed_prices * array_namespace(load).tanh(load)[:, self.owners].transpose(1, 0, 2)
+        return super().own_gradients(estimates) + ordered_sum(shares, axis=1)
+
+    def jacobian(self, strategies: FloatArray) -> FloatArray:
+        """A + Mᵀ diag(1/cosh²(M x − r)) M: (n, B) to (n, n, B)."""
+        slope = 1 - np.tanh(times(self.prices, strategies) - self.shift) ** 2
+        bent = ordered_sum(self.prices[:, :, None] * (slope[:, None] * self.prices)[:, None], axis=0)
+        return super().jacobian(strategies) + bent
+
+    def best_response(self, strategies: FloatArray) -> FloatArray:
+        """The minimisers, by Newton's method to 1e-12: (n, B) to (n, B)."""
+        batch = strategies.shape[1]
+        same = (self.owners[:, None] == self.owners)[:, :, None]
+
+        def profiles(response: FloatArray) -> FloatArray:
+            """Column i holds the response of player i, and the strategies of the others."""
+            own = (self.owners[:, None] == np.arange(self.num_players))[:, :, None]
+            return np.where(own, response[:, None], strategies[:, None])
+
+        def field(response: FloatArray) -> FloatArray:
+            return self.own_gradients(profiles(response))
+
+        def slopes(response: FloatArray) -> FloatArray:
+            at = profiles(response)
+            players = [self.jacobian(at[:, player]) for player in range(self.num_players)]
+            return np.where(same, np.stack(players)[self.owners, np.arange(self.dimension)], 0.0)
+
+        low, high = (np.full((self.dimension, batch), bound) for bound in (-np.inf, np.inf))
+        return solve_box(field, slopes, low, high, strategies)
+
+    def _with(self, **parameters: FloatArray) -> Game:
+        return type(self)(**parameters, action_dims=self.action_dims)
+
+    def _solve_nash_equilibria(self) -> FloatArray:
+        return self.equilibrium
+
+
+class RandomSaturating(GameFamily):
+    """Games that are not affine: :class:`SaturatingGame` with A and x* of a strongly monotone affine family.
+
+    M has n rows with independent normal entries of variance c/n, so the slope of F in each direction falls by about c
+    where all prices are saturated; r = M x* + U(−2, 2), so prices near x* are neither linear nor constant. F is
+    strongly monotone with the ε of the affine game.
+
+    Args:
+        affine: the family, without bounds; ``RandomAffine()`` if left out.
+        bend: c ≥ 0; 0 gives affine games.
+
+    Raises:
+        ValueError: when the family is not affine, not strongly monotone or has bounds, or c is negative.
+    """
+
+    is_strongly_monotone = True
+
+    def __init__(self, affine: GameFamily | None = None, bend: float = 3.0) -> None:
+        self._affine, self.bend = affine or RandomAffine(), require_non_negative("bend", bend)
+        typical = self._affine.representative
+        if not typical.is_affine or typical.has_bounds or self._affine.is_strongly_monotone is False:
+            raise ValueError(
+                "RandomSaturating needs a family of affine games without bounds that are strongly monotone, such as "
+                f"RandomAffine(), got {type(self._affine).__name__}"
+            )
+        self.representative = self.draw([np.random.default_rng(0)])
+
+    def draw(self, generators: Sequence[np.random.Generator]) -> Game:
+        """One game per generator."""
+        affine = self._affine.draw(generators)
+        require_strong_monotonicity(affine)
+        n, equilibria = affine.dimension, affine.nash_equilibria
+        prices = np.stack([generator.normal(size=(n, n)) for generator in generators], axis=-1)
+        prices = prices * np.sqrt(self.bend / n)
+        offset = np.stack([generator.uniform(-2, 2, n) for generator in generators], axis=-1)
+        shift = times(prices, equilibria) + offset
+        matrix = np.asarray(affine.jacobian(equilibria), dtype=np.float64)
+        return SaturatingGame(matrix, prices, shift, equilibria, affine.action_dims)

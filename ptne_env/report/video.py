@@ -1,0 +1,124 @@
+"""Videos of an episode: the pictures of ``env.render()``, or the player of the report page."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ptne_env.envs.rendering import Renderer
+from ptne_env.evaluation.entries import PolicySpec
+from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.rollout import rollout
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.report.page import Page, Part
+from ptne_env.report.traces import scene
+from ptne_env.shared.arrays import FloatArray, require_count
+from ptne_env.shared.files import write_atomically
+from ptne_env.shared.style import ctrl_c_waits
+from ptne_env.world.dynamics import State
+from ptne_env.world.scenario import Scenario
+from ptne_env.world.world import World
+
+FORMATS = (".gif", ".html")
+"""Suffixes of the files that videos are written to."""
+
+PER_SECOND = 20
+"""Pictures per second."""
+
+MOST_PICTURES = 500
+"""Pictures of a video at most: all of them are in memory until they share a palette, 1.5 MB each."""
+
+_HOLD = 2
+"""Seconds for which the last picture stays."""
+
+
+def save_video(
+    scenario: Scenario,
+    spec: PolicySpec,
+    path: Path,
+    *,
+    seed: int = 0,
+    pictures: int = 100,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Run the first episode of the test split and write it as a video.
+
+    Args:
+        scenario: the world.
+        spec: the policy.
+        path: the file: ``.gif`` or ``.html`` (the player of the report).
+        seed: of the episode, where one is drawn.
+        pictures: number of pictures of a video, evenly spaced in steps; a page shows every step.
+        progress: called with the number of pictures that are drawn and of all.
+
+    Raises:
+        ValueError: for another suffix, fewer than 2 or more than 500 pictures, or a policy that cannot act in the
+            scenario.
+        ImportError: when a library is missing, naming the extra to install.
+        OSError: when the file cannot be written.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise ValueError(f"a video is written to {', '.join(FORMATS)}, got {path.name!r}")
+    if require_count("pictures", pictures, 2) > MOST_PICTURES:
+        raise ValueError(f"a video has at most {MOST_PICTURES} pictures, got {pictures}")
+    world = World(scenario)
+    episode = EpisodeSet(1, seed)
+    if suffix == ".html":
+        player = Part("Episode player", has_player=True)
+        page = Page(f"{scenario.name}: {spec.name}", (player,), scenes={scenario.name: scene(world, episode, [spec])})
+        write_atomically(path, page.html())
+        return
+    write_atomically(path, gif(_pictures(world, spec, episode.initial_state(world), pictures, progress)))
+
+
+def _pictures(
+    world: World, spec: PolicySpec, start: State, count: int, progress: Callable[[int, int], None] | None
+) -> Iterator[Any]:
+    """``count`` pictures of an episode, (height, width, 3) uint8 each."""
+    encoder = make_encoder(world, spec.interface)
+    states: list[State] = []
+
+    def keep(state: State, _: FloatArray | None) -> None:
+        states.append(state)
+
+    rollout(spec.build(encoder.layout), encoder, start, watch=keep)
+    wanted = np.unique(np.linspace(0, len(states) - 1, count).round().astype(int)).tolist()
+    renderer = Renderer(world, "rgb_array", f"{world.scenario.name}: {spec.name}")
+    renderer.fix_axes(states)
+    renderer.reset(states[0])
+    for step, state in enumerate(states):
+        picture = None
+        with ctrl_c_waits():  # artists of former pictures are forgotten anywhere in it
+            if step > 0:
+                renderer.record(state)
+            if step in wanted:
+                picture = renderer.draw()
+                if progress is not None:
+                    progress(1 + wanted.index(step), len(wanted))
+        if picture is not None:
+            yield picture
+
+
+def gif(pictures: Iterator[Any], per_second: int = PER_SECOND) -> bytes:
+    """Pictures as the bytes of a GIF that stays on the last one for a while.
+
+    Args:
+        pictures: (height, width, 3) uint8 each.
+        per_second: how many are shown.
+    """
+    drawn = list(pictures)  # matplotlib, which needs Pillow, is missed first
+    from PIL import Image
+
+    # Matplotlib's PillowWriter gives every picture its own palette: colours flicker, and files are ten times larger.
+    images = [Image.fromarray(picture) for picture in drawn]
+    palette = images[-1].quantize(colors=256)  # the last picture has every colour
+    images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    durations = [1000 // per_second] * (len(images) - 1) + [1000 * _HOLD]
+    buffer = io.BytesIO()
+    images[0].save(buffer, "gif", save_all=True, append_images=images[1:], duration=durations, loop=0)
+    return buffer.getvalue()

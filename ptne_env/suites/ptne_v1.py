@@ -1,0 +1,140 @@
+"""The suite ptne-v1: tracks that each change one thing of the base."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ptne_env.evaluation.tracks import Teammates, Track
+from ptne_env.shared.parts import FactorySpec
+from ptne_env.suites.suite import Suite
+from ptne_env.world.catalogue import get_scenario
+
+part = FactorySpec.of
+
+RANGE = 100.0
+"""R, 3 to 5 times the largest start or equilibrium: starts are U(−20, 20), equilibria of energy games within ±33."""
+
+
+def _noisy(std: float, *stages: FactorySpec) -> FactorySpec:
+    """A channel of stages, the last of which is noise."""
+    noise = part("channel:noise", std=std)
+    return part("channel:chain", stages=[*stages, noise]) if stages else noise
+
+
+def _graphs(players: int, probability: float) -> FactorySpec:
+    """Every episode draws one of 100 connected random graphs, in which each pair is linked with a probability."""
+    return part("topology:random-graphs", players=players, probability=probability)
+
+
+LINKS = ((0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (0, 2), (0, 3))
+"""The links that go up and down at random: the 5-cycle and two chords."""
+
+BASE = get_scenario("random-energy").replace(
+    topology=_graphs(5, 0.4), slots=4, channel=_noisy(0.001), message_range=RANGE, steps=300
+)
+"""Random energy games of five players, each on a graph of its own; messages carry noise."""
+
+
+def _track(
+    name: str,
+    change: str,
+    *,
+    teammates: Teammates | None = None,
+    episodes: int | None = None,
+    scored: bool = True,
+    **changes: Any,
+) -> Track:
+    return Track(name, BASE.replace(name=name, **changes), change, teammates, episodes, scored)
+
+
+TRACKS = (
+    _track(
+        "nominal",
+        "The base without noise and range: a check that a policy works at all.",
+        scored=False,
+        channel="perfect",
+        message_range=None,
+    ),
+    _track(
+        "switching-physical",
+        "The paper's four graphs in turn, each disconnected, for 0.1 s of physical time.",
+        topology=part("topology:paper", dwell=0.1, clock="physical"),
+    ),
+    _track(
+        "switching-transformed",
+        "Links go up and down at random, every 0.1 to 0.4 of transformed time; noise is 0.3.",
+        topology=part(
+            "topology:random-edges",
+            graph=part("topology:edges", players=5, edges=LINKS),
+            probability=0.4,
+            dwells=(0.1, 0.4),
+            modes=64,
+            clock="transformed",
+        ),
+        channel=_noisy(0.3),
+    ),
+    _track(
+        "rough-links",
+        "Messages travel for 1 to 7 steps, a third of them is lost in bursts, and the rest carries noise 0.2.",
+        channel=_noisy(
+            0.2, part("channel:delay", steps=1, longest=7), part("channel:bursts", to_bad=0.05, to_good=0.1)
+        ),
+    ),
+    _track("rounding", "Messages are rounded to multiples of 0.5.", channel=part("channel:rounding", width=0.5)),
+    _track(
+        "liar",
+        "One player adds a constant of up to 20 to all that it says of other players.",
+        channel=_noisy(0.001, part("channel:liar", size=20.0)),
+    ),
+    _track(
+        "short-deadline",
+        "A tenth of the time in 30 steps, and inputs up to 5: the way alone takes most of the time.",
+        deadline=0.12,
+        steps=30,
+        input_limit=5.0,
+    ),
+    _track(
+        "strangers",
+        "One of five players is a stranger to every policy: it follows the paper's static law; noise is 0.01.",
+        teammates=Teammates(part("law:static", kappa=0.4), (3,)),
+        channel=_noisy(0.01),
+    ),
+    _track(
+        "monotone",
+        "Random affine games that are monotone and not strongly monotone; all start within ±10, where equilibria are.",
+        game=part("game:random-affine", epsilon=0.0),
+        start=part("start:uniform", low=-10.0, high=10.0),
+        message_range=0.5 * RANGE,  # else there is more room for loud equilibria than for loud starts
+    ),
+    _track(
+        "curved",
+        "Random games whose prices saturate, so that curvature is up to 20 times as large near some strategies.",
+        game=part("game:random-saturating", bend=20.0),
+    ),
+    _track(
+        "uneven-box",
+        "Random affine games of players with 1, 2, 3, 1 and 2 components, confined to a box; noise is 0.03.",
+        game=part("game:random-affine", action_dim=(1, 2, 3, 1, 2), low=-5.0, high=5.0),
+        channel=_noisy(0.03),
+    ),
+    _track(
+        "coupled",
+        "Four constraints that five players share, priced by a sixth: a variational generalised Nash equilibrium.",
+        game=part("game:coupled", game=part("game:random-energy", players=5), lines=4),
+        topology=_graphs(6, 0.4),
+        slots=5,
+        message_range=1.5 * RANGE,  # prices are up to 45
+    ),
+    _track(
+        "crowd-50",
+        "50 players on a circulant graph of degree 4, their total coupling that of five.",
+        game=part("game:random-energy", players=50, coupling=(0.005, 0.03)),
+        topology=part("topology:circulant", players=50, offsets=(1, 7)),
+        slots=None,
+        gain=5.0,
+        steps=200,
+        episodes=10,
+    ),
+)
+
+SUITE = Suite("ptne-v1", TRACKS, episodes=60)

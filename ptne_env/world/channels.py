@@ -1,0 +1,439 @@
+"""Communication channels: range, noise, delay, loss, rounding and falsehood of messages, link by link.
+
+In every step sender j puts its estimate x^j on each of its live links. From the sequence of these messages a channel
+determines, for receiver i in every step, a received value per component, whether a message is present at all, and its
+weight a_ij. Observations contain (received value) − x^i and these weights, and no other information on x^j.
+
+A channel is one stage or a :class:`Chain` of stages; the output of each stage is the input of the next. Below, v is the
+input of a stage on link (i, j) in step k, y its output, σ a parameter, and ξ ~ N(0, 1) and U ~ U(0, 1) are independent
+over episodes, stages, steps, directed links and (for noise) components. Before the start, every stage had the input of
+the start, and receivers hold that.
+
+Random numbers are hashes of an episode's key and of their purpose (:mod:`ptne_env.shared.counter_random`). They do not
+depend on the policy or on the number of environments.
+"""
+
+# ruff: noqa: ARG002 - a stage may ignore arguments of the interface
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ptne_env.shared import counter_random
+from ptne_env.shared.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    array_namespace,
+    replaced,
+    require_count,
+    require_non_negative,
+    require_positive,
+    require_probability,
+    rounded,
+)
+from ptne_env.shared.counter_random import CounterArray, special_functions
+from ptne_env.shared.parts import Part
+
+Memory: TypeAlias = tuple[Any, ...]
+"""Memory of a channel: arrays with environments last, and tuples of them."""
+
+
+Transmitted: TypeAlias = "tuple[Messages, Memory]"
+"""Messages received in a step, and the memory for the next step."""
+
+
+@dataclass(frozen=True)
+class Messages:
+    """The messages on all links in one step. Neighbour slots first, environments last; never changed in place.
+
+    Attributes:
+        values: per slot, component and receiver, shape (D, n, N, B).
+        live: whether a message is present on the link, shape (D, N, B).
+        weights: a_ij, shape (D, N, B).
+    """
+
+    values: FloatArray
+    live: BoolArray
+    weights: FloatArray
+
+
+class LinkRandomness:
+    """The random numbers of one stage in one step: noise, losses and delays per directed link.
+
+    Args:
+        keys: one per environment, shape (B,).
+        step: index of the step, shape (B,).
+        senders: player in each neighbour slot, shape (D, N).
+        owners: player that owns each component, shape (n,).
+
+    Attributes:
+        senders, owners: as given.
+    """
+
+    def __init__(self, keys: CounterArray, step: IntArray, senders: IntArray, owners: IntArray) -> None:
+        self._keys = keys
+        self._step = step
+        self.senders = senders
+        self.owners = owners
+
+    def stage(self, index: int) -> LinkRandomness:
+        """The random numbers of stage ``index`` of a chain, independent of all others."""
+        return LinkRandomness(counter_random.child_keys(self._keys, index), self._step, self.senders, self.owners)
+
+    def uniforms(self, purpose: int = 0) -> FloatArray:
+        """U(0, 1) per directed link, shape (D, N, B); another ``purpose`` gives other numbers."""
+        return counter_random.uniforms(self._base(purpose), self._links()[:, :, None])
+
+    def normals(self, purpose: int = 0) -> FloatArray:
+        """N(0, 1) per component and directed link, shape (D, n, N, B); another ``purpose`` gives other numbers."""
+        components = np.arange(self.owners.size, dtype=np.uint64)
+        numbers = self._links()[:, None, :] * np.uint64(self.owners.size) + components[:, None]
+        return counter_random.normals(self._base(purpose), numbers[..., None])
+
+    def episode_uniforms(self, count: int, purpose: int = 0) -> FloatArray:
+        """U(0, 1), the same in every step of an episode, shape (count, B); another ``purpose`` gives other numbers."""
+        counters = np.arange(count, dtype=np.uint64)[:, None]
+        return counter_random.uniforms(counter_random.child_keys(self._keys, purpose), counters)
+
+    def _links(self) -> CounterArray:
+        """The number i N + j of each link, which is the same in every slot; shape (D, N)."""
+        players = self.senders.shape[1]
+        return (np.arange(players) * players + self.senders).astype(np.uint64)
+
+    def _base(self, purpose: int) -> CounterArray:
+        """A key per environment for this purpose and step, shape (B,)."""
+        return counter_random.words(counter_random.child_keys(self._keys, purpose), self._step.astype(np.uint64))
+
+
+class Channel(Part, ABC):
+    """A map, with memory, from messages sent to messages received.
+
+    Attributes:
+        is_perfect: whether every message is received as it was sent.
+        is_random: whether two episodes differ.
+    """
+
+    is_perfect: bool = False
+    is_random: bool = True
+
+    @abstractmethod
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """The messages received in a step, and the memory for the next step.
+
+        Args:
+            messages: the messages sent.
+            memory: the memory that :meth:`transmit` returned in the step before; ``None`` in the first step.
+            randomness: the random numbers of the step.
+        """
+
+
+class Chain(Channel):
+    """Stages in sequence; the perfect channel if there are none.
+
+    Args:
+        stages: channels in the order in which messages pass them; a chain among them stands for its stages.
+
+    Raises:
+        ValueError: when a stage is not a channel.
+    """
+
+    def __init__(self, stages: Sequence[Channel] = ()) -> None:
+        self.stages: tuple[Channel, ...] = ()
+        for stage in stages:
+            if not isinstance(stage, Channel):
+                raise ValueError(f"the stages of a chain are channels, got a {type(stage).__name__}")
+            self.stages += stage.stages if isinstance(stage, Chain) else (stage,)
+        self.is_perfect = all(stage.is_perfect for stage in self.stages)
+        self.is_random = any(stage.is_random for stage in self.stages)
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """The output of the last stage."""
+        remembered = []
+        for index, stage in enumerate(self.stages):
+            before = None if memory is None else memory[index]
+            messages, after = stage.transmit(messages, before, randomness.stage(index))
+            remembered.append(after)
+        return messages, tuple(remembered)
+
+
+def perfect() -> Channel:
+    """The identity: y = v."""
+    return Chain()
+
+
+class Range(Channel):
+    """The range of a link: y = min(max(v, −R), R) per component.
+
+    Where what follows is noise or rounding of a fixed size, R bounds the ratio of signal to noise. So a sender that
+    plays louder than it has to gains at most the logarithm of R over its strategy.
+
+    Args:
+        limit: R > 0, in the units of the strategies.
+
+    Raises:
+        ValueError: when the limit is not positive.
+    """
+
+    is_random = False
+
+    def __init__(self, limit: float) -> None:
+        self.limit = require_positive("limit", limit)
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """Clipped messages."""
+        xp = array_namespace(messages.values)
+        return replace(messages, values=xp.clip(messages.values, -self.limit, self.limit)), ()
+
+
+class AdditiveNoise(Channel):
+    """Noise on each message: y = v + σ ξ, ξ per component.
+
+    Args:
+        std: σ ≥ 0, in the units of the strategies.
+
+    Raises:
+        ValueError: when σ is negative or not finite.
+    """
+
+    def __init__(self, std: float) -> None:
+        self.std = require_non_negative("std", std)
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """Messages plus noise."""
+        noise = randomness.normals()
+        noise *= self.std
+        noise += messages.values
+        return replace(messages, values=noise), ()
+
+
+class Delay(Channel):
+    """Messages that arrive some steps later, possibly overtaking each other; the receiver holds the last arrival.
+
+    The message sent in step k arrives in step k + d, with d drawn per message uniformly from ``steps``..``longest``. Of
+    messages that arrive in the same step, the one sent last counts. For constant d, y_k = v_{k−d}. A link without a
+    message in a step, because it is down or an earlier stage dropped the message, sends nothing; the receiver keeps
+    the last arrival.
+
+    Args:
+        steps: the shortest delay, ≥ 0.
+        longest: the longest delay; by default ``steps``, so that the delay is constant.
+
+    Raises:
+        ValueError: when a delay is not a whole number of at least 0, or the longest is shorter than the shortest.
+    """
+
+    def __init__(self, steps: int, longest: int | None = None) -> None:
+        self.steps = require_count("steps", steps, 0)
+        self.longest = require_count("longest", steps if longest is None else longest, self.steps)
+        self.is_random = self.longest > self.steps
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """The last arrivals."""
+        xp = array_namespace(messages.values)
+        lags = xp.full(messages.live.shape, self.steps)
+        if self.is_random:
+            lags += (randomness.uniforms() * (self.longest - self.steps + 1)).astype(np.int64)
+        lags = xp.where(messages.live, lags, -1)  # a message that is not there never arrives
+        if memory is None:
+            held, received = messages.values, messages.live
+            past, past_lags = (messages.values,) * self.longest, (xp.full_like(lags, -1),) * self.longest
+        else:
+            held, received, past, past_lags = memory
+        # Newest first: entry d was sent d steps ago. The arrays never change, so shifting the tuples copies nothing.
+        past, past_lags = (messages.values, *past), (lags, *past_lags)
+        for age in range(self.longest, self.steps - 1, -1):
+            arrives = past_lags[age] == age
+            held = xp.where(arrives[:, None], past[age], held)
+            received = received | arrives
+        last = self.longest
+        return replace(messages, values=held, live=received), (held, received, past[:last], past_lags[:last])
+
+
+class Loss(Channel):
+    """Messages are lost independently: where U < p, y is the last message received.
+
+    Args:
+        probability: p in [0, 1].
+
+    Raises:
+        ValueError: when p is not a probability.
+    """
+
+    def __init__(self, probability: float) -> None:
+        self.probability = require_probability("probability", probability)
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """Messages, with the last received in place of those lost."""
+        return _hold(messages, randomness.uniforms() < self.probability, memory)
+
+
+class BurstLoss(Channel):
+    """Losses in bursts: the chain of Gilbert (1960), one per directed link.
+
+    In every step a good link turns bad with probability p, a bad link turns good with probability r; messages on bad
+    links are lost, and y is the last message received. At the start a link is bad with the stationary probability
+    p/(p + r). A burst lasts 1/r steps on average.
+
+    Args:
+        to_bad: p in (0, 1].
+        to_good: r in (0, 1].
+
+    Raises:
+        ValueError: when a number is not a probability, or is 0.
+    """
+
+    def __init__(self, to_bad: float, to_good: float) -> None:
+        self.to_bad = require_probability("to_bad", require_positive("to_bad", to_bad))
+        self.to_good = require_probability("to_good", require_positive("to_good", to_good))
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """Messages, with the last received in place of those lost."""
+        xp, turn = array_namespace(messages.values), randomness.uniforms()
+        if memory is None:
+            bad = turn < self.to_bad / (self.to_bad + self.to_good)
+        else:
+            bad = xp.where(memory[0], turn >= self.to_good, turn < self.to_bad)
+        received, held = _hold(messages, bad, None if memory is None else memory[1])
+        return received, (bad, held)
+
+
+def _hold(messages: Messages, lost: BoolArray, memory: Memory | None) -> Transmitted:
+    """Messages, with the last received in place of those ``lost`` (D, N, B)."""
+    xp = array_namespace(messages.values)
+    held, received = (messages.values, messages.live) if memory is None else memory
+    arrives = messages.live & ~lost
+    held = xp.where(arrives[:, None], messages.values, held)
+    received = received | arrives
+    return replace(messages, values=held, live=xp.where(lost, received, messages.live)), (held, received)
+
+
+class UniformQuantiser(Channel):
+    """Messages are rounded to evenly spaced levels: y = Δ round(v/Δ), so |y − v| ≤ Δ/2.
+
+    Args:
+        width: Δ > 0, in the units of the strategies.
+
+    Raises:
+        ValueError: when the width is not positive.
+    """
+
+    is_random = False
+
+    def __init__(self, width: float) -> None:
+        self.width = require_positive("width", width)
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """Rounded messages."""
+        return replace(messages, values=rounded(messages.values / self.width) * self.width), ()
+
+
+class Lying(Channel):
+    """One player lies: on components that are not its own, it adds a constant offset to the estimates that it sends.
+
+    Liar and offset, U(−size, size) per component, are drawn per episode; the offset is the same for every neighbour.
+    The liar sends its own strategy as it is, so the others reach the equilibrium if they do not use its estimates of
+    third players.
+
+    Args:
+        size: > 0, in the units of the strategies.
+
+    Raises:
+        ValueError: when the size is not positive.
+    """
+
+    def __init__(self, size: float) -> None:
+        self.size = require_positive("size", size)
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """Messages, those of the liar with its offset."""
+        senders, owners = randomness.senders, randomness.owners
+        liar = (randomness.episode_uniforms(1) * senders.shape[1]).astype(np.int64)[0]
+        offset = self.size * (2 * randomness.episode_uniforms(owners.size, purpose=1) - 1)
+        foreign = owners[:, None] != senders[:, None, :]
+        lies = foreign[..., None] & (senders[..., None] == liar)[:, None]
+        return replace(messages, values=messages.values + lies * offset[:, None]), ()
+
+
+class Bias(Channel):
+    """Every directed link adds an offset of its own to each component: y = v + b, the same b in all steps.
+
+    Args:
+        bound: β ≥ 0, in the units of the strategies; b ~ U(−β, β), drawn per episode.
+
+    Raises:
+        ValueError: when the bound is negative or not finite.
+    """
+
+    def __init__(self, bound: float) -> None:
+        self.bound = require_non_negative("bound", bound)
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """Messages plus the offsets, which are drawn in the first step."""
+        if memory:
+            (offsets,) = memory
+        else:  # the distribution function of a normal number is uniform
+            normal = randomness.normals()
+            offsets = self.bound * (2 * special_functions(normal).ndtr(normal) - 1)
+        return replace(messages, values=messages.values + offsets), (offsets,)
+
+
+class HeavyTails(Channel):
+    """Noise with heavy tails on each message: y = v + σ ζ, where ζ has Student's t-distribution of two degrees.
+
+    Its variance is infinite: one of 20 numbers is larger than 4.3, one of a million larger than 1000. With Φ the
+    distribution function of ξ, ζ = (Φ(ξ) − Φ(−ξ)) / √(2 Φ(ξ) Φ(−ξ)).
+
+    Args:
+        scale: σ ≥ 0, in the units of the strategies.
+
+    Raises:
+        ValueError: when σ is negative or not finite.
+    """
+
+    def __init__(self, scale: float) -> None:
+        self.scale = require_non_negative("scale", scale)
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """Messages plus noise."""
+        normal = randomness.normals()
+        ndtr = special_functions(normal).ndtr
+        below, above = ndtr(normal), ndtr(-normal)
+        noise = self.scale * (below - above) / array_namespace(normal).sqrt(2 * below * above)
+        return replace(messages, values=messages.values + noise), ()
+
+
+class LateNoise(AdditiveNoise):
+    """Noise that starts late: y = v before a step, and y = v + σ ξ from it on.
+
+    Args:
+        std: σ ≥ 0, in the units of the strategies.
+        step: of the first noise.
+
+    Raises:
+        ValueError: when σ is negative or not finite, or the step is not a whole number of at least 0.
+    """
+
+    def __init__(self, std: float, step: int) -> None:
+        super().__init__(std)
+        self.step = require_count("step", step, 0)
+
+    def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
+        """Messages, later plus noise."""
+        xp = array_namespace(messages.values)
+        elapsed = memory[0] if memory else xp.zeros(messages.live.shape[-1])
+        noisy, _ = super().transmit(messages, None, randomness)
+        return replace(messages, values=xp.where(elapsed < self.step, messages.values, noisy.values)), (elapsed + 1,)
+
+
+def merged(old: Memory, fresh: Memory, mask: BoolArray) -> Memory:
+    """The memory ``old`` with the environments in ``mask`` (B,) replaced by those of ``fresh``, in order."""
+    return tuple(
+        merged(before, after, mask) if isinstance(before, tuple) else replaced(before, after, mask)
+        for before, after in zip(old, fresh, strict=True)
+    )

@@ -1,0 +1,193 @@
+"""Tables of results as data, and in the terminal."""
+
+import io
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.cells import cell_len
+from rich.console import Console
+
+from ptne_env import evaluate, get_scenario, laws, theory
+from ptne_env.evaluation import METRICS, get_policy_spec
+from ptne_env.evaluation.metrics import number
+from ptne_env.evaluation.statistics import Summary
+from ptne_env.execution.verification import Repetition, Verification
+from ptne_env.report.certificates import certificate_tables, verification_tables
+from ptne_env.report.tables import (
+    Cell,
+    answer,
+    answer_table,
+    first_places,
+    leaderboard_table,
+    leaders,
+    text_table,
+    track_tables,
+)
+from ptne_env.report.terminal import answer_tables, result_tables, show
+from ptne_env.suites.leaderboard import leaderboard
+
+
+def written(tables, width=172):
+    stream = io.StringIO()
+    Console(file=stream, width=width).print(tables)
+    text = stream.getvalue()
+    assert "…" not in text
+    assert max(map(cell_len, text.splitlines())) <= width
+    return text
+
+
+def digits_of(results, track, policy):
+    record = results.record(track, policy, "digits")
+    return f"{record['mean']:.2f} ±{record['high'] - record['mean']:.2f}".removesuffix(" ±0.00")
+
+
+@pytest.mark.parametrize("width", [80, 120, 172])
+def test_tables_of_results_fit_the_terminal_and_lose_no_number(comparison, suite, width):
+    for results in (comparison, suite):
+        words = set(written(result_tables(results, width), width).split())
+        for record in results.records:
+            if record["mean"] is not None:
+                assert number(record["mean"]) in words
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_the_answer_fits_the_terminal_and_keeps_the_papers_law(comparison, suite, width):
+    for results in (comparison, suite):
+        text = written(answer_tables(results, width), width)
+        for track in results.tracks:
+            assert digits_of(results, track.name, "static") in text
+        hidden = " ".join(re.findall(r"--details, also shows (.*?)\.", " ".join(text.split())))
+        heading = text[: text.index("─")]
+        for name in results.policies:
+            assert name in hidden or all(part in heading for part in re.findall(r"\w+", name))
+        assert not [name for name in leaders(results) if name in hidden.split(", ")]
+
+
+def test_the_answer_has_a_row_per_track_and_their_mean(comparison, suite, hostile):
+    table = answer_table(comparison)
+    assert table.rows == ("energy", "energy-switching", "mean of 2", "mean regret")
+    columns = {column.label: column for column in table.columns}
+    assert list(columns)[:2] == ["grounded", "static"]
+    assert list(columns)[2:] == [hostile, "oracle *", "zero-input"]
+    for name in ("static", "grounded"):
+        means = [comparison.record(track, name, "digits")["mean"] for track in table.rows[:2]]
+        assert columns[name]["energy"].text == digits_of(comparison, "energy", name)
+        assert columns[name]["mean of 2"].value == pytest.approx(np.mean(means))
+        regrets = [comparison.record(track, name, "mean_regret")["mean"] for track in table.rows[:2]]
+        assert columns[name]["mean regret"].value == pytest.approx(np.mean(regrets))
+    learned = next(column for column in answer_table(suite).columns if column.label == "ppo-random-energy")
+    assert learned["robots"] == Cell()
+    assert learned["score"].value == next(row.score.mean for row in leaderboard(suite) if row.policy == learned.label)
+
+
+def test_the_answer_names_the_closest_policy_and_the_distance_of_the_papers_law(comparison):
+    first, second = answer(comparison)
+    assert first == (
+        "grounded comes closest to the Nash equilibrium by the deadline, or with its interval within 0.1 digits of the "
+        "closest, on 2 of 2 scenarios."
+    )
+    means = {
+        (track, name): comparison.record(track, name, "digits")["mean"]
+        for track in ("energy", "energy-switching")
+        for name in ("static", "grounded")
+    }
+    gaps = [means[track, "grounded"] - means[track, "static"] for track in ("energy", "energy-switching")]
+    assert second.startswith(
+        f"The paper's law (static) is {np.mean(gaps):.2f} digits behind the closest on average, {max(gaps):.2f} at most"
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["static", "zero-input"], ["static comes closest to the Nash equilibrium by the deadline on energy."]),
+        (["oracle"], ["No policy without an oracle's information has a result."]),
+        (["zero-input"], ["zero-input was compared with nothing; --policy names others."]),
+    ],
+)
+def test_the_answer_of_few_policies(names, expected):
+    assert list(answer(evaluate(names, ["energy"], episodes=2))) == expected
+
+
+def test_first_places_are_shared_within_a_tenth_of_a_digit():
+    again = replace(get_policy_spec("grounded"), name="again")
+    results = evaluate(["zero-input", again, "grounded", "oracle"], ["energy"], episodes=2)
+    assert first_places(results) == {"zero-input": [], "again": ["energy"], "grounded": ["energy"]}
+    assert answer(results)[0].startswith("again and grounded are not told apart: they come closest")
+
+
+def test_tables_of_a_track_hold_the_metrics_that_have_values(comparison):
+    tables = track_tables(comparison, comparison.tracks[0])
+    valued = {
+        record["metric"] for record in comparison.records if record["track"] == "energy" and record["mean"] is not None
+    }
+    labels = [column.label for table in tables for column in table.columns]
+    assert sorted(labels) == sorted(METRICS[name].label for name in valued)
+    digits = tables[0].columns[0]
+    for row in tables[0].rows:
+        name = row.removesuffix(" *")
+        assert digits[row].value == comparison.record("energy", name, "digits")["mean"]
+    assert "oracle *" in tables[0].rows
+
+
+def test_a_policy_that_cannot_act_is_named_with_the_reason(suite):
+    plain, robots = (track_tables(suite, track)[0] for track in suite.tracks)
+    assert "ppo-random-energy" in plain.rows
+    assert "ppo-random-energy" not in robots.rows
+    assert robots.notes[0].startswith("n/a: ppo-random-energy: ")
+    assert "was made for another layout" in robots.notes[0]
+
+
+def test_the_leaderboard_has_the_scores_of_a_suite_alone(suite, comparison):
+    assert leaderboard_table(comparison) is None
+    table = leaderboard_table(suite)
+    scores = {row.policy: row.score.mean for row in leaderboard(suite)}
+    assert {row.removesuffix(" *"): table.columns[0][row].value for row in table.rows} == scores
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_the_table_of_a_verification_shows_every_verdict(width):
+    repetitions = (
+        Repetition("ring", "policy-0", 0, 0.0, agrees=True),
+        Repetition("ring", "policy-1", 0, 0.1, agrees=False),
+        Repetition("ring", "policy-1", 1, None, agrees=False, reason="step 0: no number"),
+    )
+    found = Verification(tuple(map(str, range(12))), repetitions, 7, same_arithmetic=False)
+    rebuilt, table = verification_tables(found)
+    verdicts, _, reasons = ([column[row].text for row in table.rows] for column in table.columns)
+    assert len(set(verdicts)) == 3
+    assert reasons == ["", "", "step 0: no number"]
+    assert len(table.notes) == 1
+    texts = [tuple(column[row].text for column in rebuilt.columns) for row in rebuilt.rows]
+    assert texts[-1] == ("differs", "2 more numbers or texts")
+    written(show(table, width), width)
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_a_certificate_shows_what_decides(width):
+    certificate = theory.certify(get_scenario("energy"), law=laws.Static)
+    assumptions, predictions = certificate_tables(certificate)
+    text = written(show(assumptions, width), width) + written(show(predictions, width), width)
+    words = " ".join(text.split())
+    for expected in ("Assumption 4", "holds", "0.280", "fails (sufficient, not necessary)", "exact"):
+        assert expected in words
+    without = certificate_tables(theory.certify(get_scenario("energy"), law=laws.Oracle))[1]
+    assert not any("rate" in row for row in without.rows)
+    assert without.notes
+
+
+def test_words_are_wrapped_and_no_column_is_lost():
+    table = text_table("Claims", "claim", ("says",), [("one", 40 * "long "), ("two", "short")])
+    assert written(show(table, 80), 80).split().count("long") == 40
+
+
+def test_numbers_have_three_digits():
+    values = [None, float("inf"), float("nan"), 0.0, 0.01234, 999.6, 12.0]
+    assert [number(value) for value in values] == ["–", "∞", "–", "0", "0.0123", "1.00e3", "12.0"]
+
+
+def test_digits_have_two_decimals_without_a_negative_zero():
+    summaries = [Summary(-0.001, -0.001, -0.001), Summary(-1.5, -1.75, -1.25), Summary(None, None, None), None]
+    assert [Cell.plus_minus(summary).text for summary in summaries] == ["0.00", "−1.50 ±0.25", "–", "–"]
