@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from affine_games import loop_start, run
-from ptne_env.field import laws as field_laws
 from worlds import BLOCKS, BLOCKS_SWITCHING, channel_part, world_and_encoder
 
-from ptne_env import evaluate, get_scenario
+from ptne_env import evaluate, get_scenario, laws
 from ptne_env.laws.best_response import best_response
 from ptne_env.laws.identification import Model
 
@@ -46,7 +45,7 @@ def test_best_response_is_cautious(rows, gradient, arguments, expected):
 
 
 @pytest.mark.parametrize("scenario", [BLOCKS, BLOCKS_SWITCHING], ids=lambda scenario: scenario.name)
-@pytest.mark.parametrize("law", [field_laws.ContactRelay, field_laws.ObserverRelay])
+@pytest.mark.parametrize("law", [laws.ContactRelay, laws.ObserverRelay])
 def test_players_of_unequal_dimensions_reach_the_equilibrium(law, scenario):
     world, encoder = world_and_encoder(scenario)
     states = run(world, encoder, law(encoder.layout), loop_start(world))[..., 0]
@@ -73,4 +72,4 @@ def test_noise_is_averaged():
 @pytest.mark.parametrize("name", ["patience", "forgetting"])
 def test_wrong_numbers_are_named(name):
     with pytest.raises(ValueError, match=f"{name} must be a finite number above 0"):
-        field_laws.ContactRelay(world_and_encoder("energy")[1].layout, **{name: 0.0})
+        laws.ContactRelay(world_and_encoder("energy")[1].layout, **{name: 0.0})

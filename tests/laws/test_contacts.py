@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from affine_games import SOAK, affine_scenario, random_affine, run
-from ptne_env.field import laws as field_laws
 from worlds import begin, channel_part, fixed_part, world_and_encoder
 
-from ptne_env import FactorySpec, evaluate, get_scenario
+from ptne_env import FactorySpec, evaluate, get_scenario, laws
 from ptne_env.laws.contacts import Contacts, contacts
 
 
@@ -88,7 +87,7 @@ def test_a_copy_is_what_the_owner_had_as_many_steps_ago_as_there_are_links(seed)
     matrix, offset, adjacency = random_affine(np.random.default_rng(seed), 3 + seed % 4)
     hops, step = hops_of(adjacency), 0.5 / np.diag(matrix).max()
     scenario = affine_scenario(matrix, offset, fixed_part(adjacency), input_limit=1e5, steps=60)
-    world, states = episode(field_laws.RoutedUnknown, scenario, seeds=(seed, seed + 1), step=step)
+    world, states = episode(laws.RoutedUnknown, scenario, seeds=(seed, seed + 1), step=step)
     late = 2 * hops.max()
     for i, o in np.argwhere(hops >= 0):
         copies, sent = states[late:, o, i], states[late - hops[i, o] : len(states) - hops[i, o], o, o]
@@ -110,7 +109,7 @@ def test_owner_is_the_only_source_from_the_first_meeting_on():
     scenario = affine_scenario(
         np.eye(3) + 0.1, np.ones(3), switching(3, modes, (0.1,) * 6), gain=0.0, s_end=20.0, input_limit=1e5
     )
-    world, states = episode(field_laws.RoutedUnknown, scenario)
+    world, states = episode(laws.RoutedUnknown, scenario)
     for k, (before, after) in enumerate(zip(states[:, 1, :, 0], states[1:, 1, :, 0], strict=False)):
         links, met = modes[world.modes[k]], 3 in world.modes[: k + 1]
         if (0, 1) in links:
@@ -125,7 +124,7 @@ def test_news_that_never_move_reach_players_without_news():
     """Player 2 settles before player 0 meets player 1, whose copy of its strategy never moves again."""
     topology = switching(3, [[(1, 2)], [(0, 1)]], (10.0, 10.0))
     scenario = affine_scenario(np.eye(3), np.ones(3), topology, gain=0.0, s_end=20.0, input_limit=1e5)
-    _, states = episode(field_laws.RoutedUnknown, scenario, step=1.0)
+    _, states = episode(laws.RoutedUnknown, scenario, step=1.0)
     assert states[-1, 2, 0, 0] == pytest.approx(states[-1, 2, 2, 0], abs=1e-4)
 
 
@@ -154,4 +153,4 @@ def test_sources_are_found_where_links_switch_and_where_messages_are_noisy():
 
 def test_a_step_must_be_positive():
     with pytest.raises(ValueError, match="step must be a finite number above 0"):
-        field_laws.RoutedUnknown(world_and_encoder("energy")[1].layout, step=0.0)
+        laws.RoutedUnknown(world_and_encoder("energy")[1].layout, step=0.0)

@@ -6,7 +6,6 @@ And relabelling the players permutes the results: no law prefers a player for it
 import numpy as np
 import pytest
 from affine_games import SOAK
-from ptne_env.field import laws as field_laws
 from worlds import energy_scenario, fixed_part, make_env, play, world_and_encoder
 
 from ptne_env import FactorySpec, laws
@@ -18,16 +17,16 @@ RELATIVE = {
     "adaptive": laws.Adaptive,
     "grounded": laws.Grounded,
     "adaptive-grounded": laws.AdaptiveGrounded,
-    "projected-gradient": field_laws.ProjectedGradient,
-    "routed-unknown": field_laws.RoutedUnknown,
+    "projected-gradient": laws.ProjectedGradient,
+    "routed-unknown": laws.RoutedUnknown,
     "zero-input": laws.ZeroInput,
 }
 """Laws that need no absolute strategies, so that they also act through the interface ``scaled``."""
 ABSOLUTE = {
-    "proximal-best-response": field_laws.ProximalBestResponse,
-    "contact-relay": field_laws.ContactRelay,
-    "observer-relay": field_laws.ObserverRelay,
-    "residual-coder": field_laws.ResidualCoder,
+    "proximal-best-response": laws.ProximalBestResponse,
+    "contact-relay": laws.ContactRelay,
+    "observer-relay": laws.ObserverRelay,
+    "residual-coder": laws.ResidualCoder,
 }
 LAWS = RELATIVE | ABSOLUTE
 CASES = [*((law, "physical") for law in LAWS), *((law, "scaled") for law in RELATIVE)]

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from affine_games import affine_scenario, loop_start, random_affine, run
-from ptne_env.field import laws as field_laws
 from worlds import BLOCKS, FAULTY, begin, channel_part, fixed_part, world_and_encoder
 
-from ptne_env import FactorySpec, evaluate, get_scenario
+from ptne_env import FactorySpec, evaluate, get_scenario, laws
 from ptne_env.laws import contact_relay, observer_relay
 from ptne_env.suites import get_suite
 
@@ -24,7 +23,7 @@ def episode(scenario, law, start=None):
 def test_observers_see_nothing_on_a_fixed_graph_without_faults(seed):
     matrix, offset, adjacency = random_affine(np.random.default_rng(seed), 4, coupling=0.3)
     scenario = affine_scenario(matrix, offset, fixed_part(adjacency), steps=80)
-    found = [episode(scenario, law)[0] for law in (field_laws.ContactRelay, field_laws.ObserverRelay)]
+    found = [episode(scenario, law)[0] for law in (laws.ContactRelay, laws.ObserverRelay)]
     np.testing.assert_allclose(*found, rtol=0, atol=1e-9)
 
 
@@ -83,20 +82,20 @@ def test_slow_moves_add_up_to_news():
 @pytest.mark.parametrize("rule", observer_relay.RULES)
 def test_every_rule_can_be_switched_off(rule):
     world, encoder = world_and_encoder(FAULTY)
-    states = run(world, encoder, field_laws.ObserverRelay(encoder.layout, without=[rule]), begin(world, [0]), steps=30)
+    states = run(world, encoder, laws.ObserverRelay(encoder.layout, without=[rule]), begin(world, [0]), steps=30)
     assert np.isfinite(states).all()
 
 
 def test_unknown_rules_are_named():
     with pytest.raises(ValueError, match="unknown rule 'luck'; choose from noise, rounding"):
-        field_laws.ObserverRelay(world_and_encoder("energy")[1].layout, without=["luck"])
+        laws.ObserverRelay(world_and_encoder("energy")[1].layout, without=["luck"])
 
 
 def test_a_rotating_game_settles_with_damping_and_not_without():
     """Each player's own curvature is a third of the coupling; the start is up to 20 units away."""
     scenario = affine_scenario([[0.3, 1.0], [-1.0, 0.3]], [1.0, -2.0], fixed_part(1 - np.eye(2)))
     start = loop_start(world_and_encoder(scenario)[0])
-    for law, settles in ((field_laws.ObserverRelay, True), (field_laws.ContactRelay, False)):
+    for law, settles in ((laws.ObserverRelay, True), (laws.ContactRelay, False)):
         states, world = episode(scenario, law, start)
         distance = np.abs(states[-1, ..., 0] - world.game.nash_equilibrium[:, None]).max()
         assert bool(distance < 0.02) is settles
@@ -105,7 +104,7 @@ def test_a_rotating_game_settles_with_damping_and_not_without():
 
 def test_estimates_of_noisy_messages_come_to_rest_near_the_end_when_means_are_stated():
     scenario = RANDOM.replace(channel=channel_part("AdditiveNoise", std=0.05))
-    states, world = episode(scenario, field_laws.ObserverRelay)
+    states, world = episode(scenario, laws.ObserverRelay)
     moves = np.abs(np.diff(states[..., 0], axis=0))[:, ~np.eye(5, dtype=bool)]  # (K, 20), of estimates of others
     left = world.clock.s[-1] - world.clock.s[:-1]
     ends, before = np.flatnonzero(left <= 0.9)[1:], np.flatnonzero((left > 1.2) & (left < 3))
@@ -114,7 +113,7 @@ def test_estimates_of_noisy_messages_come_to_rest_near_the_end_when_means_are_st
 
 @pytest.mark.parametrize(
     ("scenario", "law"),
-    [(BLOCKS, field_laws.ContactRelay), (BLOCKS, field_laws.ObserverRelay), (FAULTY, field_laws.ObserverRelay)],
+    [(BLOCKS, laws.ContactRelay), (BLOCKS, laws.ObserverRelay), (FAULTY, laws.ObserverRelay)],
 )
 def test_own_blocks_are_enough_in_large_games(scenario, law, monkeypatch):
     whole = law(world_and_encoder(scenario)[1].layout).initial_memory(1).size

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
-from ptne_env.field import laws as field_laws
 from worlds import BLOCKS, BLOCKS_SWITCHING, world_and_encoder
 
-from ptne_env import FactorySpec, get_scenario, theory
+from ptne_env import FactorySpec, get_scenario, laws, theory
 
 ENERGY = get_scenario("energy", start="random")
 
@@ -14,7 +13,7 @@ ENERGY = get_scenario("energy", start="random")
 @pytest.mark.parametrize("scenario", [ENERGY, BLOCKS, BLOCKS_SWITCHING], ids=lambda scenario: scenario.name)
 def test_projected_gradient_is_its_equation_every_two_steps(scenario):
     world, encoder = world_and_encoder(scenario)
-    law = field_laws.ProjectedGradient(encoder.layout, step=0.2, mixing=0.25)
+    law = laws.ProjectedGradient(encoder.layout, step=0.2, mixing=0.25)
     states = run(world, encoder, law, loop_start(world), steps=60)[..., 0]
     game, modes = world.game, world.modes
     for k in range(0, 58, 2):
@@ -39,7 +38,7 @@ def test_projected_gradient_contracts_over_time_varying_graphs(seed):
     world, encoder = world_and_encoder(affine_scenario(matrix, offset, topology, input_limit=1e5))
     constants = theory.problem_constants(world)
     h = 0.5 / constants.largest_degree
-    candidates = (field_laws.ProjectedGradient(encoder.layout, step, h) for step in np.geomspace(0.5, 1e-4, 40))
+    candidates = (laws.ProjectedGradient(encoder.layout, step, h) for step in np.geomspace(0.5, 1e-4, 40))
     law = next(law for law in candidates if theory.condition(law, constants).holds)
     rate = np.sqrt(theory.condition(law, constants).value)
     states = run(world, encoder, law, loop_start(world))[..., 0]
@@ -58,4 +57,4 @@ def test_projected_gradient_contracts_over_time_varying_graphs(seed):
 )
 def test_parameters_out_of_range_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
-        field_laws.ProjectedGradient(world_and_encoder("energy")[1].layout, **arguments)
+        laws.ProjectedGradient(world_and_encoder("energy")[1].layout, **arguments)

@@ -5,10 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
-from ptne_env.field import laws as field_laws
 from worlds import channel_part, fixed_part
 
-from ptne_env import Interface, evaluate, get_scenario
+from ptne_env import Interface, evaluate, get_scenario, laws
 from ptne_env.laws import proximal
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.world.world import World
@@ -16,10 +15,8 @@ from ptne_env.world.world import World
 
 def played(world, steps=None, **arguments):
     """Estimates of an episode, (K+1, n, N)."""
-    encoder = make_encoder(world, field_laws.ProximalBestResponse.interface)
-    return run(world, encoder, field_laws.ProximalBestResponse(encoder.layout, **arguments), loop_start(world), steps)[
-        ..., 0
-    ]
+    encoder = make_encoder(world, laws.ProximalBestResponse.interface)
+    return run(world, encoder, laws.ProximalBestResponse(encoder.layout, **arguments), loop_start(world), steps)[..., 0]
 
 
 def proximal_point(jacobian, offset, owners, adjacency, estimates, step, mixing):
@@ -67,7 +64,7 @@ def test_players_with_several_components_solve_for_their_block():
 def test_large_games_identify_the_own_block_alone(monkeypatch):
     monkeypatch.setattr(proximal, "LARGEST_ROW", 1)
     world = World(get_scenario("energy", start="random"))
-    law = field_laws.ProximalBestResponse(make_encoder(world, Interface("physical")).layout)
+    law = laws.ProximalBestResponse(make_encoder(world, Interface("physical")).layout)
     assert law.initial_memory(2).shape == (2, 1 + 1 + 5 + 1 + 1 + 1)
     states = played(world)
     errors = np.abs(states - world.game.nash_equilibrium[:, None]).max(axis=(1, 2))
@@ -100,6 +97,6 @@ def test_wrong_numbers_and_interfaces_are_named():
     layout = make_encoder(world, Interface("physical")).layout
     for name in ("step", "mixing", "spread"):
         with pytest.raises(ValueError, match=f"{name} must be"):
-            field_laws.ProximalBestResponse(layout, **{name: 0.0})
+            laws.ProximalBestResponse(layout, **{name: 0.0})
     with pytest.raises(ValueError, match="reads own_estimate"):
-        field_laws.ProximalBestResponse(make_encoder(world, Interface("scaled")).layout)
+        laws.ProximalBestResponse(make_encoder(world, Interface("scaled")).layout)

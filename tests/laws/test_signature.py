@@ -4,7 +4,6 @@ import inspect
 
 import numpy as np
 import pytest
-from ptne_env.field import laws as field_laws
 from worlds import BLOCKS, world_and_encoder
 
 from ptne_env import Policy, laws
@@ -20,12 +19,12 @@ LAWS = [
     laws.AdaptiveGrounded,
     laws.ZeroInput,
     laws.Oracle,
-    field_laws.ProjectedGradient,
-    field_laws.RoutedUnknown,
-    field_laws.ProximalBestResponse,
-    field_laws.ContactRelay,
-    field_laws.ObserverRelay,
-    field_laws.ResidualCoder,
+    laws.ProjectedGradient,
+    laws.RoutedUnknown,
+    laws.ProximalBestResponse,
+    laws.ContactRelay,
+    laws.ObserverRelay,
+    laws.ResidualCoder,
 ]
 
 

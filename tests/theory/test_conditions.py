@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
-from ptne_env.field import laws as field_laws
 from sample_laws import condition_on
 from worlds import fixed_part
 
@@ -85,8 +84,8 @@ def test_the_routed_law_settles_where_its_condition_holds_and_shortens_longer_st
     found = condition_on(scenario, "law:routed-unknown", step=step)
     assert found.holds is holds
     world = World(scenario)
-    encoder = make_encoder(world, field_laws.RoutedUnknown.interface)
-    states = run(world, encoder, field_laws.RoutedUnknown(encoder.layout, step), loop_start(world, size=1.0))[..., 0]
+    encoder = make_encoder(world, laws.RoutedUnknown.interface)
+    states = run(world, encoder, laws.RoutedUnknown(encoder.layout, step), loop_start(world, size=1.0))[..., 0]
     errors = np.linalg.norm(states - world.game.nash_equilibrium[:, None], axis=(1, 2))
     assert errors[-1] < 1e-3 * errors[20]
 
