@@ -8,7 +8,7 @@
 from typing import TYPE_CHECKING
 
 from ptne_env._version import __version__ as __version__
-from ptne_env.envs.registration import register_environments
+from ptne_env.envs import register_environments
 
 if TYPE_CHECKING:
     from ptne_env import laws as laws

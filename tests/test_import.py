@@ -35,7 +35,7 @@ def modules_after(statement):
 
 def test_importing_the_package_imports_no_heavy_module():
     loaded = modules_after("import ptne_env")
-    assert "ptne_env.envs.registration" in loaded
+    assert "ptne_env.envs" in loaded
     assert not loaded & {*HEAVY, "ptne_env.world.world"}
 
 

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from ptne_env import Scenario, get_scenario
 from ptne_env.cli import app, options
 from ptne_env.evaluation import Track, get_policy_spec
-from ptne_env.execution.result_files import read_results
+from ptne_env.evaluation.results import read_results
 from ptne_env.execution.verification import verify
 from ptne_env.shared.parts import foreign_targets
 from ptne_env.suites import Suite, run_suite

@@ -18,7 +18,7 @@ from tianshou.utils.net.continuous import ContinuousActorProbabilistic, Continuo
 from torch.distributions import Independent, Normal
 from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, law, report
 
-from ptne_env.envs.turn_based import aec_env
+from ptne_env.envs.parallel import aec_env
 from ptne_env.envs.vector import VectorParallelEnv
 
 STEPS = 20_000

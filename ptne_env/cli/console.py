@@ -17,8 +17,7 @@ from rich.segment import Segment
 from rich.table import Column
 from rich.text import Text
 
-from ptne_env.execution.result_files import require_writable
-from ptne_env.shared.files import write_atomically
+from ptne_env.shared.files import require_writable, write_atomically
 
 _PIPE_WIDTH = 172
 """Width of tables where the output is no terminal and ``COLUMNS`` is not set; rich would cut them to 80 columns."""

@@ -11,7 +11,7 @@ import typer
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, ExitCode, app
 from ptne_env.cli.console import check_writable, console, json_text, progress, say, write_json
-from ptne_env.execution.result_files import read_results
+from ptne_env.evaluation.results import read_results
 from ptne_env.execution.verification import SAMPLE
 from ptne_env.execution.verification import verify as run_verification
 from ptne_env.report.certificates import verification_tables

@@ -9,7 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 from numpy.ma import MaskedArray
-from pettingzoo import ParallelEnv
+from pettingzoo import AECEnv, ParallelEnv
+from pettingzoo.utils.conversions import parallel_to_aec_wrapper
+from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from ptne_env.envs.rendering import Renderer
 from ptne_env.envs.simulation import Simulation, changed_scenario, initial_estimates, player_encoder, require_options
@@ -349,3 +351,16 @@ def _fault(action: Any, shape: tuple[int, ...]) -> str | None:
 
 parallel_env = NashSeekingEnv
 """PettingZoo's name for what makes a ParallelEnv."""
+
+
+def aec_env(scenario: str | Scenario = "energy", **arguments: Any) -> AECEnv:
+    """The turn-based form of a scenario, with PettingZoo's check of the order of calls.
+
+    Args:
+        scenario: a name of the catalogue or a scenario.
+        **arguments: of :func:`ptne_env.parallel_env`.
+
+    Raises:
+        TypeError, ValueError: as :func:`ptne_env.parallel_env`.
+    """
+    return OrderEnforcingWrapper(parallel_to_aec_wrapper(parallel_env(scenario, **arguments)))

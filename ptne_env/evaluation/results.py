@@ -11,6 +11,7 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -23,9 +24,13 @@ from ptne_env.evaluation.provenance import arithmetic, content_hash, versions
 from ptne_env.evaluation.statistics import Summary, estimate, tail_values
 from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import FloatArray
+from ptne_env.shared.files import DamagedFileError, read_json
 
 FORMAT = 7
 """Version of the meaning of ``results.json``; a file of another one is refused."""
+
+LARGEST_FILE = 32 * 2**20
+"""Size in bytes above which a file is refused as a file of results."""
 
 _FORMULA = re.compile(r"(^|[,;\t]\s*)([=+\-@\t\r])")
 """The beginning of a text, or of a part of it, that a spreadsheet reads as a formula."""
@@ -158,6 +163,39 @@ class Results:
         }
         return {**content, "checksum": content_hash(content), "timings": samples["timings"]}
 
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Results:
+        """Read what :meth:`to_dict` gives; tables are computed again from the samples. Parts in it are imported.
+
+        Raises:
+            ValueError: when the data are no results, or a policy or scenario was an object of another process.
+        """
+        try:
+            episode_sets = {
+                track: EpisodeSet(**{**drawn, "track": drawn["track"] and tuple(drawn["track"])})
+                for track, drawn in data["episodes"].items()
+            }
+            samples: dict[Place, Samples] = {}
+            for kind in ("samples", "timings"):
+                for track, policies in data[kind].items():
+                    repeats = episode_sets[track].count if kind == "timings" else 1
+                    for policy, metrics in policies.items():
+                        for metric, values in metrics.items():
+                            array = np.repeat(np.array(values, dtype=np.float64), repeats, axis=1)
+                            samples.setdefault((track, policy), {})[metric] = array
+            return cls(
+                data["name"],
+                data["suite"],
+                tuple(Track.from_dict(track) for track in data["tracks"]),
+                {policy["name"]: PolicySpec.from_dict(policy) for policy in data["policies"]},
+                episode_sets,
+                samples,
+                {(item["track"], item["policy"]): item["reason"] for item in data["not_applicable"]},
+                {(item["track"], item["policy"]): item["reason"] for item in data["failures"]},
+            )
+        except (KeyError, TypeError, AttributeError, IndexError) as error:
+            raise ValueError(f"not results: {type(error).__name__}: {error}") from error
+
     def to_json(self) -> str:
         """:meth:`to_dict` as a JSON text without NaN or Infinity."""
         return json.dumps(self.to_dict(), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
@@ -217,6 +255,28 @@ class Results:
             ]
             lines += [f"  {name} failed: {why}" for (on, name), why in self.failures.items() if on == track.name]
         return "\n".join(lines)
+
+
+def read_results(path: Path) -> dict[str, Any]:
+    """The content of a file that holds :meth:`Results.to_dict`; nothing is imported.
+
+    Args:
+        path: of the file, or of its folder.
+
+    Raises:
+        OSError: when it cannot be read.
+        ValueError: when it is damaged, too large, something else or of another format.
+    """
+    path = path / "results.json" if path.is_dir() else path
+    if path.is_file() and path.stat().st_size > LARGEST_FILE:
+        raise ValueError(f"{path} is larger than {LARGEST_FILE // 2**20} MiB: it is no file of results")
+    data = read_json(path, "a file of results")
+    if data.get("format") != FORMAT:
+        raise ValueError(f"{path} is no file of results of format {FORMAT}, which this library reads: run it again")
+    content = {key: value for key, value in data.items() if key not in ("checksum", "timings")}
+    if data.get("checksum") != content_hash(content):
+        raise DamagedFileError(f"{path} was damaged or changed after it was written: run it again")
+    return data
 
 
 def _with_interval(summary: Summary) -> str:

@@ -52,13 +52,13 @@ def evaluate(
     require_count("episodes", episodes, 1)
     if not callable(run):
         raise TypeError(f"run takes jobs, as ptne_env.execution.Runner(folder, Workers(4)) does; got {run!r}")
-    tracks = compared_tracks(several(scenarios))
+    tracks = compared_tracks(as_list(scenarios))
     sets = {track.name: EpisodeSet(track.episodes or episodes, seed, split) for track in tracks}
-    return compare("comparison", tracks, [get_policy_spec(policy) for policy in several(policies)], sets, run)
+    return compare("comparison", tracks, [get_policy_spec(policy) for policy in as_list(policies)], sets, run)
 
 
-def several(given: Any) -> Iterable[Any]:
-    """Several things, of one or several.
+def as_list(given: Any) -> list[Any]:
+    """Return one thing, or several, as a list.
 
     Raises:
         TypeError: for an object that is none of the things to compare, such as an environment.
@@ -75,7 +75,7 @@ def several(given: Any) -> Iterable[Any]:
             "of a function what it returns, and a policy is an object with predict, or PolicySpec(name, function of "
             "the layout)"
         )
-    return given
+    return list(given)
 
 
 def compare(

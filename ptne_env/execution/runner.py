@@ -9,9 +9,9 @@ from pathlib import Path
 
 from ptne_env.evaluation.jobs import Job, JobResult, run_serially
 from ptne_env.evaluation.metrics import METRICS, Metric
-from ptne_env.execution.result_files import require_writable
 from ptne_env.execution.store import Store, key_of
 from ptne_env.execution.workers import Workers
+from ptne_env.shared.files import require_writable
 
 _STEP_COST = 5_000
 """Numbers of estimates that take about as long as what a step needs whatever their number."""

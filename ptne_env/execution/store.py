@@ -13,8 +13,7 @@ from ptne_env.evaluation.jobs import Job, JobResult
 from ptne_env.evaluation.metrics import METRICS
 from ptne_env.evaluation.provenance import content_hash, versions
 from ptne_env.evaluation.results import to_json_list
-from ptne_env.execution.result_files import read_json
-from ptne_env.shared.files import DamagedFileError, write_atomically
+from ptne_env.shared.files import DamagedFileError, read_json, write_atomically
 from ptne_env.shared.parts import foreign_targets
 from ptne_env.world.dynamics import PHYSICS
 

@@ -14,9 +14,8 @@ from ptne_env.evaluation.entries import POLICIES
 from ptne_env.evaluation.jobs import Job, JobResult
 from ptne_env.evaluation.metrics import METRICS
 from ptne_env.evaluation.provenance import arithmetic, file_hash, versions
-from ptne_env.evaluation.results import Results
+from ptne_env.evaluation.results import Results, read_results
 from ptne_env.evaluation.statistics import estimate
-from ptne_env.execution.result_files import read_results, results_of
 from ptne_env.shared.arrays import FloatArray, require_count
 from ptne_env.shared.parts import LOADER, foreign_targets
 from ptne_env.suites.suite import LAW, ORACLE, SUITES, ZERO, get_suite
@@ -111,7 +110,7 @@ def verify(
         )
     folder = path if path.is_dir() else path.parent
     data = {**data, "policies": [_with_files(policy, folder) for policy in data["policies"]]}
-    results = results_of(data)
+    results = Results.from_dict(data)
     differences = [*_differences_of_rules(results, data), *_differences_of_samples(results)]
     if not differences:
         differences = list(_differences_of_tables(results, data))

@@ -12,8 +12,7 @@ from ptne_env.evaluation.metrics import METRICS, number
 from ptne_env.evaluation.results import Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
-from ptne_env.suites.leaderboard import Row, leaderboard
-from ptne_env.suites.suite import LAW
+from ptne_env.suites.suite import LAW, Row, leaderboard
 
 FIRST_MARGIN = 0.1
 """A policy whose interval comes within this many digits of the best mean of a track shares the first place there."""

@@ -1,10 +1,12 @@
-"""Atomic writes, and a check before files are read."""
+"""Files: atomic writes, JSON whose damage is detected, and checks before files are read or written."""
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 
 class DamagedFileError(ValueError):
@@ -59,6 +61,57 @@ def require_file(path: str | Path) -> None:
         raise IsADirectoryError(f"{str(path)!r} is a folder: name a file")
     if not os.path.exists(path):  # noqa: PTH110 - likewise
         raise FileNotFoundError(f"there is no file {str(path)!r}")
+
+
+def read_json(path: Path, kind: str) -> dict[str, Any]:
+    """The JSON object in a file.
+
+    Args:
+        path: of the file.
+        kind: of file, for the message, such as "a file of results".
+
+    Raises:
+        OSError: when there is no such file, or it cannot be read.
+        DamagedFileError: naming ``path``, when it holds no JSON object, or part of one.
+    """
+    if path.exists() and not path.is_file():  # a pipe or a device may never end
+        raise DamagedFileError(f"{path} is not {kind}: it is no file")
+    data = path.read_bytes()
+    try:
+        value = json.loads(data, parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        raise DamagedFileError(f"{path} is not {kind}: it is cut off, damaged or something else ({error})") from error
+    if not isinstance(value, dict):
+        raise DamagedFileError(f"{path} is not {kind}: expected a JSON object, got {type(value).__name__}")
+    return value
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is not JSON")
+
+
+def require_writable(path: Path) -> None:
+    """Try before long work whether its result can be written atomically; nothing is left behind.
+
+    Raises:
+        OSError: naming ``path``, when it is a folder, its parent is no folder, or no file can be made there.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"cannot write {path}: it is a folder")
+    if path.exists() and not path.is_file():  # such as /dev/null, which is written to directly
+        return
+    target = Path(os.path.realpath(path))
+    folder = target.parent
+    while not folder.exists():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise NotADirectoryError(f"cannot write {path}: {folder} is not a folder")
+    try:
+        handle, temporary = temporary_file(folder, target.name)
+    except OSError as error:
+        raise type(error)(f"cannot write {path}: {error.strerror} (in the folder {folder})") from error
+    os.close(handle)
+    Path(temporary).unlink()
 
 
 def temporary_file(folder: Path, name: str) -> tuple[int, str]:

@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import pytest
 from worlds import BLOCKS_SWITCHING
 
-from ptne_env.envs.parallel import parallel_env
-from ptne_env.envs.turn_based import aec_env
+from ptne_env.envs.parallel import aec_env, parallel_env
 
 with warnings.catch_warnings():
     # The suites import one of PettingZoo's own environments in the way that PettingZoo itself deprecates.

@@ -7,7 +7,7 @@ from worlds import BLOCKS, FAULTY, constant_actions, make_env, while_running
 
 import ptne_env
 from ptne_env import laws
-from ptne_env.envs.turn_based import aec_env
+from ptne_env.envs.parallel import aec_env
 
 
 def test_options_set_the_start():

@@ -4,7 +4,7 @@ import pettingzoo
 import pytest
 
 import ptne_env
-from ptne_env.envs.registration import register_environments
+from ptne_env.envs import register_environments
 
 
 @pytest.mark.parametrize("scenario", list(ptne_env.CATALOGUE))

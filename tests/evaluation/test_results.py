@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,9 @@ from small_suite import BASE
 
 import ptne_env
 from ptne_env import PolicySpec, evaluate, laws
-from ptne_env.evaluation import METRICS, Metric, register
+from ptne_env.evaluation import METRICS, Metric, Results, register
 from ptne_env.evaluation.metrics import number
+from ptne_env.evaluation.results import read_results
 
 
 @pytest.fixture(scope="module")
@@ -99,3 +101,40 @@ def test_a_metric_of_ones_own_is_declared_once_and_stands_in_every_output():
             register(half_way)
     finally:
         del METRICS["half_way"]
+
+
+def test_json_holds_everything_and_no_nan_and_reads_back(results, tmp_path):
+    data = json.loads(results.to_json(), parse_constant=lambda name: pytest.fail(f"{name} in the file"))
+    assert data["versions"]["ptne_env"] == ptne_env.__version__
+    assert {"simd", "blas"} <= data["arithmetic"].keys()
+    assert data["policies"][0]["training_seeds"][0]["arguments"] == {"kappa": 2.0}
+    again = Results.from_dict(data)
+    assert again.records == results.records
+    assert again.to_json() == results.to_json()
+    assert again.tracks == results.tracks
+    assert again.policies == results.policies
+    (tmp_path / "results.json").write_text(results.to_json(), encoding="utf-8")
+    assert read_results(tmp_path) == data
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: text[: len(text) // 2], "cut off"),
+        (lambda text: text.replace('"seed":2', '"seed":3', 1), "damaged or changed"),
+        (lambda text: text.replace('"format":', '"format":9', 1), "no file of results of format"),
+        (lambda text: "{}", "no file of results"),
+        (lambda text: text + " " * 2**25, "larger than 32 MiB"),
+    ],
+)
+def test_damaged_foreign_and_huge_files_are_refused(results, tmp_path, change, message):
+    path = tmp_path / "results.json"
+    path.write_text(change(results.to_json()), encoding="utf-8")
+    with pytest.raises(ValueError, match=message):
+        read_results(path)
+
+
+@pytest.mark.parametrize("change", [{"policies": 3}, {"tracks": [{}]}, {"episodes": {}}, {"samples": {"energy": 1}}])
+def test_data_of_another_form_are_no_results(results, change):
+    with pytest.raises(ValueError, match="not results"):
+        Results.from_dict(json.loads(results.to_json()) | change)

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from ptne_env.evaluation.results import read_results
 from ptne_env.execution import Workers
-from ptne_env.execution.result_files import read_results
 
 ray = pytest.importorskip("ray")
 pytestmark = pytest.mark.filterwarnings("default")  # Ray's own

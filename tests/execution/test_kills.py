@@ -7,7 +7,7 @@ import pytest
 from affine_games import SOAK
 from processes import KILLS, kill_at_random_moments, start_python
 
-from ptne_env.execution.result_files import read_results
+from ptne_env.evaluation.results import read_results
 
 COMMAND = "compare --suite ptne-v1 nominal liar --policy grounded,adaptive --episodes 5 --no-report --jobs 2 --out"
 ROUNDS = [KILLS[1::2], KILLS[::2]] if SOAK else [KILLS[:1]]

@@ -26,7 +26,7 @@ from ptne_env.report.tables import (
     track_tables,
 )
 from ptne_env.report.terminal import answer_tables, result_tables, show
-from ptne_env.suites.leaderboard import leaderboard
+from ptne_env.suites import leaderboard
 
 
 def written(tables, width=172):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ptne_env.shared.files import require_file, write_atomically
+from ptne_env.shared.files import DamagedFileError, read_json, require_file, require_writable, write_atomically
 
 
 def test_folders_are_made_and_text_is_written_as_utf8(tmp_path):
@@ -66,3 +66,48 @@ def test_a_link_stays_and_its_target_is_written(tmp_path):
         assert link.is_symlink()
         assert target.read_text(encoding="utf-8") == text
     assert [found.name for found in target.parent.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"\xff\xfe\x00", "cut off, damaged or something else"),
+        (b'{"a": 1', "cut off, damaged or something else"),
+        (b"[" * 100_000, "cut off, damaged or something else"),
+        (b"[]", "expected a JSON object, got list"),
+        (b'{"a": NaN}', "NaN is not JSON"),
+    ],
+)
+def test_a_damaged_json_file_is_refused_by_name(tmp_path, content, message):
+    path = tmp_path / "file.json"
+    path.write_bytes(content)
+    with pytest.raises(DamagedFileError, match=f"file.json is not a note: .*{message}"):
+        read_json(path, "a note")
+
+
+def test_an_obstacle_to_writing_is_found_beforehand(tmp_path):
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    for path in (tmp_path / "new", tmp_path / "a" / "b" / "new", tmp_path / "file"):
+        require_writable(path)
+    assert [found.name for found in tmp_path.iterdir()] == ["file"]
+    with pytest.raises(IsADirectoryError, match="it is a folder"):
+        require_writable(tmp_path)
+    with pytest.raises(NotADirectoryError, match="file is not a folder"):
+        require_writable(tmp_path / "file" / "a" / "new")
+    (tmp_path / "link").symlink_to(tmp_path / "file" / "below")
+    with pytest.raises(NotADirectoryError, match="file is not a folder"):
+        require_writable(tmp_path / "link")
+
+
+def test_a_file_that_cannot_be_made_is_found_beforehand(tmp_path, monkeypatch):
+    long = "x" * 250  # as long as a name may be, but not as long as that of the temporary file
+    with pytest.raises(OSError, match=f"cannot write .*{long}: File name too long"):
+        require_writable(tmp_path / long)
+
+    def refuse(*_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("tempfile.mkstemp", refuse)  # tests may run as root, which may write everywhere
+    with pytest.raises(PermissionError, match=r"cannot write .*new: Permission denied \(in the folder"):
+        require_writable(tmp_path / "a" / "new")
+    assert list(tmp_path.iterdir()) == []
