@@ -465,8 +465,8 @@ def draw(name: str, scenario: str, path: Path) -> None:
     while env.agents:
         rows = np.stack([observations[agent] for agent in env.agents])
         told.append(rows[:, env.layout.slices["own_estimate"]])
-        actions, memory, gate = policy.decide(rows, memory)
-        gates.append(gate[0])
+        actions, memory = policy.predict(rows, memory)
+        gates.append(memory["gates"][..., 0])
         observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
     shares, messages, truth = np.array(gates), np.array(told, dtype=float), env.nash_equilibrium
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")

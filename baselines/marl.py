@@ -181,12 +181,12 @@ def train_benchmarl(job: Job, folder: Path, report: Report) -> None:
     from benchmarl.experiment import Callback, Experiment, ExperimentConfig
     from benchmarl.models.mlp import MlpConfig
 
-    from ptne_env.envs.benchmarl import NashSeekingTask, actor
+    from ptne_env.envs.benchmarl import Actor, NashSeekingTask
 
     class Reporter(Callback):
         def on_train_end(self, training_td: Any, group: str) -> None:  # noqa: ARG002 - BenchMARL's signature
             if job.is_due(self.experiment.total_frames * PLAYERS):
-                report(self.experiment.total_frames * PLAYERS, actor(self.experiment))
+                report(self.experiment.total_frames * PLAYERS, Actor(self.experiment))
 
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     scenario = SUITE.track(job.track).scenario

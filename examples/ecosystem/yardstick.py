@@ -13,8 +13,7 @@ import numpy as np
 import ptne_env
 from ptne_env import Interface, PolicySpec, laws
 from ptne_env.envs.gymnasium import JointEnv
-from ptne_env.learn.learned import in_blocks
-from ptne_env.perception.policy import Policy
+from ptne_env.perception.policy import BLOCK, Policy, RowPolicy
 from ptne_env.world import distances
 
 SCENARIO = "random-energy"
@@ -28,26 +27,22 @@ def law(layout: ptne_env.ObservationLayout) -> Policy:
     return laws.Static(layout, kappa=2.0)
 
 
-class Acting:
+class Acting(RowPolicy):
     """A policy for ``ptne_env.evaluate``, from a function of observations (R, size) to actions (R, action size).
 
-    The function gets whole blocks of rows, the last of them filled with zeros: linear algebra takes other code for
-    small batches, and ``evaluate`` requires the same bits for a row in every batch.
+    The function gets whole blocks of rows: linear algebra takes other code for small batches, and ``evaluate`` requires
+    the same bits for a row in every batch.
     """
+
+    block = BLOCK
 
     def __init__(self, act: Callable[[np.ndarray], np.ndarray]) -> None:
         """The function from a batch of observations to actions."""
         self.act = act
 
-    def predict(
-        self,
-        observation: np.ndarray,
-        state: object = None,
-        episode_start: np.ndarray | None = None,  # noqa: ARG002 - Stable-Baselines3's signature
-        deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002
-    ) -> tuple[np.ndarray, object]:
+    def decide(self, rows: np.ndarray, memory: object, *_: object, **__: object) -> tuple[np.ndarray, object]:
         """The actions, and the memory unchanged."""
-        return self.act(in_blocks(observation))[: len(observation)], state
+        return self.act(rows), memory
 
 
 def digits(policy: Policy, interface: Interface = Interface()) -> float:  # noqa: B008 - it is frozen

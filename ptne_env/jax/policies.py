@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpy.typing as npt
 
 from ptne_env.jax.environment import World
 from ptne_env.laws.adaptive import adaptive_inputs
 from ptne_env.laws.grounded import grounded_inputs
 from ptne_env.laws.static import static_inputs
 from ptne_env.perception.observation import Interface, LayoutError, Observation, ObservationLayout
+from ptne_env.perception.policy import RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array
 from ptne_env.world.dynamics import State
 
@@ -25,7 +25,7 @@ Act = Callable[[Any, jax.Array, Any], tuple[jax.Array, Any]]
 
 
 @dataclass(frozen=True)
-class Policy:
+class Policy(RowPolicy):
     """A pure function with its parameters; a pytree, so that JAX differentiates and maps it by its parameters.
 
     It has ``predict``, as every policy, so it may be an entry of :func:`ptne_env.evaluate`:
@@ -46,36 +46,17 @@ class Policy:
     interface: Interface = field(default_factory=Interface)
     layout: ObservationLayout | None = None
 
-    def with_layout(self, layout: ObservationLayout) -> Policy:
-        """The policy itself, which was made for a layout like this one.
+    @property
+    def made_for(self) -> Mapping[str, Any]:
+        """The size, interface, players and neighbour slots of its layout, if it has one."""
+        names = ("size", "interface", "action_dims", "slots") if self.layout is not None else ()
+        return {name: getattr(self.layout, name) for name in names}
 
-        Raises:
-            LayoutError: when it was made for another.
-        """
-        own = self.layout
-        if own is not None and (own.interface, own.action_dims, own.slots) != (
-            layout.interface,
-            layout.action_dims,
-            layout.slots,
-        ):
-            raise LayoutError("this policy was made for other players, neighbour slots or another interface")
-        return self
-
-    def predict(
-        self,
-        observation: npt.NDArray[np.float32],
-        state: Any = None,
-        episode_start: BoolArray | None = None,
-        deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
-    ) -> tuple[Float32Array, Any]:
-        """Actions for observations (R, size); see :meth:`ptne_env.perception.policy.Policy.predict`."""
-        rows = np.atleast_2d(observation)
-        starts = np.zeros(len(rows), dtype=np.bool_) if episode_start is None else np.reshape(episode_start, -1)
-        if state is None:
-            state = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(rows), *np.shape(leaf))), self.memory)
-        actions, state = self._decide(self.params, self.memory, rows, state, starts)
-        actions = np.asarray(actions, dtype=np.float32)
-        return (actions[0] if np.ndim(observation) == 1 else actions), state
+    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - ``act`` is deterministic
+        """Return the actions and the memory; see :meth:`ptne_env.perception.policy.RowPolicy.decide`."""
+        if memory is None:
+            memory = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(rows), *np.shape(leaf))), self.memory)
+        return self._decide(self.params, self.memory, rows, memory, starts)
 
     @cached_property
     def _decide(self) -> Any:

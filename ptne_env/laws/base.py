@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from ptne_env.perception.observation import Interface, LayoutError, Observation, ObservationLayout
-from ptne_env.perception.policy import pair
+from ptne_env.perception.policy import RowPolicy, pair
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, is_numpy
 
 
-class Law(ABC):
+class Law(RowPolicy):
     """A policy that is built from a layout and acts on observations and its own memory alone.
 
     A subclass implements :meth:`inputs`, and :meth:`initial_memory` if it has memory.
@@ -44,27 +44,19 @@ class Law(ABC):
             )
         self.layout = layout
 
-    def predict(
-        self,
-        observation: npt.NDArray[np.float32],
-        state: Any = None,
-        episode_start: BoolArray | None = None,
-        deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
-    ) -> tuple[Float32Array, Any]:
-        """Actions for observations; see :meth:`ptne_env.perception.policy.Policy.predict`. Laws are deterministic.
+    @property
+    def made_for(self) -> Mapping[str, Any]:
+        return {"size": self.layout.size}
 
-        Raises:
-            ValueError: when observations or memory have another shape than this law needs.
-        """
-        array = np.asarray(observation)
-        parsed = self.layout.read(np.atleast_2d(array))
-        memory = self._continued(state, len(parsed.player), episode_start)
-        inputs, memory = pair(self.inputs(parsed, memory), f"{type(self).__name__}.inputs returns (inputs, memory)")
-        actions = self.layout.write(inputs, parsed)
-        return (actions[0] if array.ndim == 1 else actions), memory
+    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - laws are deterministic
+        observation = self.layout.read(rows)
+        answer = self.inputs(observation, self._restart(memory, starts))
+        inputs, memory = pair(answer, f"{type(self).__name__}.inputs returns (inputs, memory)")
+        return self.layout.write(inputs, observation), memory
 
-    def _continued(self, memory: Any, rows: int, episode_start: BoolArray | None) -> Any:
-        """``memory`` with a fresh row wherever an episode starts, for R = ``rows`` players."""
+    def _restart(self, memory: Any, starts: BoolArray) -> Any:
+        """Return the memory with a fresh row wherever an episode starts."""
+        rows = len(starts)
         if memory is None or self._row_shape is None:
             return self.initial_memory(rows)
         needed = (rows, *self._row_shape)
@@ -73,10 +65,9 @@ class Law(ABC):
                 f"the memory has the shape {np.shape(memory)} and these observations need {needed}; pass "
                 "state=None to start afresh"
             )
-        if episode_start is None or not np.any(episode_start):
+        if not starts.any():
             return np.asarray(memory)
-        starts = np.reshape(episode_start, (rows, *(1,) * len(self._row_shape)))
-        return np.where(starts, self.initial_memory(rows), memory)
+        return np.where(starts.reshape(rows, *(1,) * len(self._row_shape)), self.initial_memory(rows), memory)
 
     @cached_property
     def _row_shape(self) -> tuple[int, ...] | None:

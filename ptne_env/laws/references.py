@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from ptne_env.laws.base import Law, per_step
 from ptne_env.perception.observation import Interface, Observation, ObservationLayout
+from ptne_env.perception.policy import RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, require_count
 from ptne_env.shared.counter_random import uniforms
 
@@ -34,7 +35,7 @@ class Oracle(Law):
         return per_step(observation.relative_equilibrium, observation), memory
 
 
-class RandomPolicy:
+class RandomPolicy(RowPolicy):
     """Actions drawn uniformly from the action box: a hash of the seed and of the player's own observation.
 
     So an observation gets the same action in every batch and place. The hash is the multiply-add of M. Dietzfelbinger,
@@ -55,19 +56,12 @@ class RandomPolicy:
         self._factors = generator.integers(2**64, size=layout.size, dtype=np.uint64)
         self._offset = generator.integers(2**64, size=1, dtype=np.uint64)
 
-    def predict(
-        self,
-        observation: npt.NDArray[np.float32],
-        state: Any = None,
-        episode_start: BoolArray | None = None,  # noqa: ARG002 - Stable-Baselines3's signature
-        deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
-    ) -> tuple[Float32Array, Any]:
-        """Random actions; see :meth:`ptne_env.perception.policy.Policy.predict`.
+    @property
+    def made_for(self) -> Mapping[str, Any]:
+        return {"size": self.layout.size}
 
-        Raises:
-            ValueError: when observations have another length than the layout's.
-        """
-        words = np.ascontiguousarray(observation, dtype=np.float32).view(np.uint32)
+    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - it has no memory
+        words = np.ascontiguousarray(rows).view(np.uint32)
         keys = (words @ self._factors)[..., None] + self._offset
         numbers = uniforms(keys, np.arange(self.layout.action_size, dtype=np.uint64))
-        return (self.layout.action_bound * (2 * numbers - 1)).astype(np.float32), state
+        return (self.layout.action_bound * (2 * numbers - 1)).astype(np.float32), memory

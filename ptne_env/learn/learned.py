@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
+from ptne_env.perception.observation import Interface, ObservationLayout
+from ptne_env.perception.policy import BLOCK, RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array, require_count
 from ptne_env.shared.files import DamagedFileError, require_file
 from ptne_env.shared.names import unknown_name
@@ -49,10 +49,6 @@ LAYOUT_VERSION = 1
 
 class PolicyFileError(DamagedFileError):
     """A file is not a policy of this library, is damaged, or was made for other observations."""
-
-
-class PolicyLayoutError(PolicyFileError, LayoutError):
-    """A policy file was made for another layout."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,22 +103,7 @@ class Metadata:
         return metadata
 
 
-BLOCK = 32
-"""Rows in a block: twice the smallest batch, 16, from which on torch's products have the same bits in every batch, and
-a multiple of the numbers in a vector register, at most 16."""
-
-
-def in_blocks(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """``array`` with rows of zeros appended up to a multiple of :data:`BLOCK`; itself if it has that length.
-
-    A network then decides each row alike in every batch. Libraries of linear algebra take other code for small batches,
-    and for the last numbers of an array that fill no vector register, which changes the last bits of a row's result.
-    """
-    missing = -len(array) % BLOCK
-    return np.concatenate([array, np.zeros((missing, *array.shape[1:]), dtype=array.dtype)]) if missing else array
-
-
-class LearnedPolicy:
+class LearnedPolicy(RowPolicy):
     """A policy from a file; see :class:`ptne_env.perception.policy.Policy`.
 
     :func:`load` and :func:`ptne_env.learn.archive.load_archive` make one.
@@ -132,6 +113,8 @@ class LearnedPolicy:
         interface: of the policy.
         metadata: description in the file; ``None`` of an archive, which has none.
     """
+
+    block = BLOCK
 
     def __init__(
         self,
@@ -146,35 +129,14 @@ class LearnedPolicy:
         self._made_for = made_for  # attributes of a layout, among them its size
         self._decide = decide  # as predict, for whole blocks
 
-    def with_layout(self, layout: ObservationLayout) -> LearnedPolicy:
-        """The policy itself, which can act in an environment of this layout.
+    @property
+    def made_for(self) -> Mapping[str, Any]:
+        """The size of the observations, the interface, and what else the file says of its layout."""
+        return self._made_for
 
-        Raises:
-            PolicyLayoutError: naming the attributes in which it differs.
-        """
-        pairs = [(name, mine, getattr(layout, name)) for name, mine in self._made_for.items()]
-        if found := [f"{name}: policy {mine}, environment {theirs}" for name, mine, theirs in pairs if mine != theirs]:
-            raise PolicyLayoutError(f"the policy was made for another layout; {'; '.join(found)}")
-        return self
-
-    def predict(
-        self,
-        observation: npt.NDArray[np.float32],
-        state: Any = None,
-        episode_start: BoolArray | None = None,
-        deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
-    ) -> tuple[Float32Array, Any]:
-        """Actions in the action box, of a network in an ONNX file its mean actions; see ``Policy.predict``.
-
-        Raises:
-            PolicyFileError: when observations have another length than the policy was made for.
-        """
-        rows, size = np.atleast_2d(np.asarray(observation, dtype=np.float32)), self._made_for["size"]
-        if rows.ndim != 2 or rows.shape[1] != size:
-            raise PolicyFileError(f"policy {self.name!r} takes observations of length {size}, got {rows.shape}")
-        starts = None if episode_start is None else in_blocks(np.atleast_1d(episode_start))
-        actions, state = self._decide(in_blocks(rows), state, starts, deterministic)
-        return (actions[0] if np.ndim(observation) == 1 else actions[: len(rows)]), state
+    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:
+        """Return the actions and the memory; see :meth:`ptne_env.perception.policy.RowPolicy.decide`."""
+        return self._decide(rows, memory, starts, deterministic)
 
 
 def shipped() -> list[str]:
@@ -216,8 +178,9 @@ def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> L
     Raises:
         ValueError: for an unknown name.
         FileNotFoundError: when there is no such file.
-        PolicyFileError: when the file is damaged, foreign, too large or of another version, refers to other files, has
-            other operations than :data:`OPERATORS`, or was made for another layout.
+        PolicyFileError: when the file is damaged, foreign, too large or of another version, refers to other files,
+            or has other operations than :data:`OPERATORS`.
+        LayoutError: when the policy was made for another layout.
         ImportError: without onnx and onnxruntime, which ``.onnx`` files need, naming the extra to install.
     """
     is_file = Path(path_or_name).suffix in SUFFIXES

@@ -23,8 +23,9 @@ from zipfile import ZipFile
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.learn.learned import PolicyFileError, PolicyLayoutError
-from ptne_env.perception.observation import Interface, ObservationLayout
+from ptne_env.learn.learned import PolicyFileError
+from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
+from ptne_env.perception.policy import RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, is_numpy, ordered_sum, without_gradient
 
 Weights = dict[str, Any]
@@ -326,7 +327,7 @@ LARGEST_UNPACKED = 16 << 20
 _METADATA, _VERSION = "metadata", 6
 
 
-class RecurrentPolicy:
+class RecurrentPolicy(RowPolicy):
     """A network that plays, in numpy; see :class:`ptne_env.perception.policy.Policy`.
 
     Attributes:
@@ -344,46 +345,37 @@ class RecurrentPolicy:
         self.name, self.weights, self.training = name, weights, dict(training)
         self._layout = layout
 
+    @property
+    def made_for(self) -> Mapping[str, Any]:
+        """The interface, and the length of the observations once the policy has a layout."""
+        size = {} if self._layout is None else {"size": self._layout.size}
+        return {"interface": self.interface, **size}
+
     def with_layout(self, layout: ObservationLayout) -> RecurrentPolicy:
-        """The same policy for an environment of this layout.
+        """Return the same policy for an environment of this layout.
 
         Raises:
-            PolicyLayoutError: when the layout has another interface.
+            LayoutError: when the layout has another interface.
         """
-        if layout.interface != self.interface:
-            raise PolicyLayoutError(f"policy {self.name!r} acts through {self.interface}, not {layout.interface}")
-        return RecurrentPolicy(self.name, self.weights, layout, self.training)
+        other = RecurrentPolicy(self.name, self.weights, layout, self.training)
+        return super(RecurrentPolicy, other).with_layout(layout)
 
-    def predict(
-        self,
-        observation: npt.NDArray[np.float32],
-        state: Any = None,
-        episode_start: BoolArray | None = None,
-        deterministic: bool = False,  # noqa: ARG002, FBT001, FBT002 - Stable-Baselines3's signature
-    ) -> tuple[Float32Array, Any]:
-        """Actions for observations (R, size); see :meth:`ptne_env.perception.policy.Policy.predict`."""
-        inputs, memory, _ = self.decide(np.atleast_2d(observation), state, episode_start)
-        return (inputs[0] if np.ndim(observation) == 1 else inputs), memory
-
-    def decide(
-        self, rows: npt.NDArray[np.float32], memory: Memory | None = None, starts: BoolArray | None = None
-    ) -> tuple[Float32Array, Memory, Float32Array]:
-        """Actions (R, n) for observations (R, size), the memory, and the copy gates (R, D, n).
+    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - it is deterministic
+        """Return the actions (R, n) and the memory, whose ``gates`` are the shares that players copied, (D, n, R).
 
         Raises:
-            PolicyFileError: when the policy was given no layout, or observations have another length.
+            LayoutError: when the policy was given no layout.
         """
         layout = self._layout
-        if layout is None or rows.shape[1:] != (layout.size,):
-            wanted = "without a layout" if layout is None else f"with observations of length {layout.size}"
-            raise PolicyFileError(f"policy {self.name!r} was loaded {wanted}, got {rows.shape}: load(path, env.layout)")
-        columns = np.ascontiguousarray(np.asarray(rows, dtype=np.float32).T)
+        if layout is None:
+            raise LayoutError(f"policy {self.name!r} was loaded without a layout: use load(path, env.layout)")
+        columns = np.ascontiguousarray(rows.T)
         player = columns[layout.slices["player"]].argmax(0)
         if memory is None:
             memory = initial_memory(self.weights, layout, len(rows))
             shapes = {"waits": (), "inputs": (layout.dimension,), "gates": (layout.slots, layout.dimension)}
             memory |= {name: np.zeros((*shape, len(rows)), dtype=np.float32) for name, shape in shapes.items()}
-        elif starts is not None and np.any(starts):
+        elif starts.any():
             memory = {name: np.where(starts, np.float32(0), value) for name, value in memory.items()}
         repeat, waits = float(self.weights["action_repeat"][0]), memory["waits"]
         if not waits.all():
@@ -396,7 +388,7 @@ class RecurrentPolicy:
                 after = {name: np.where(waits > 0, memory[name], value) for name, value in after.items()}
             memory = after
         memory = memory | {"waits": memory["waits"] - 1}
-        return memory["inputs"].T.copy(), memory, np.moveaxis(memory["gates"], -1, 0).copy()
+        return memory["inputs"].T.copy(), memory
 
 
 def sealed(weights: Weights, training: Mapping[str, Any]) -> bytes:

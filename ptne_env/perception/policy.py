@@ -1,15 +1,18 @@
-"""The signature of every policy, analytic or learned."""
+"""The signature of every policy, and the base class of policies that decide row by row."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from inspect import signature
 from pathlib import Path
 from traceback import extract_tb
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
+from ptne_env.perception.observation import LayoutError, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array
 
 _LONGEST_DESCRIPTION = 500
@@ -85,3 +88,76 @@ class Policy(Protocol):
             Actions of shape (R, action size), float32, and the memory for the next call.
         """
         ...
+
+
+BLOCK = 32
+"""Rows in a block: twice the smallest batch, 16, from which on torch's products have the same bits in every batch, and
+a multiple of the numbers in a vector register, at most 16."""
+
+
+class RowPolicy(ABC):
+    """A policy that decides each row of observations from that row and its own memory alone.
+
+    A subclass implements :meth:`decide`, and says what it was :attr:`made_for`.
+    """
+
+    block: ClassVar[int] = 1
+    """:meth:`decide` gets a multiple of this number of rows, the last of them zeros. Libraries of linear algebra take
+    other code for small batches, and for the last numbers of an array that fill no vector register, which changes the
+    last bits of a row's result; with :data:`BLOCK` a network decides a row alike in every batch."""
+
+    @property
+    def made_for(self) -> Mapping[str, Any]:
+        """The attributes, by name, that an :class:`ObservationLayout` must have for the policy to act."""
+        return {}
+
+    def with_layout(self, layout: ObservationLayout) -> Self:
+        """Return the policy itself if it can act in an environment of this layout.
+
+        Raises:
+            LayoutError: naming the attributes in which the layout differs from :attr:`made_for`.
+        """
+        pairs = [(name, own, getattr(layout, name)) for name, own in self.made_for.items()]
+        if differences := [f"{name}: policy {own}, environment {other}" for name, own, other in pairs if own != other]:
+            raise LayoutError(f"the policy was made for another layout; {'; '.join(differences)}")
+        return self
+
+    @abstractmethod
+    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:
+        """Return the actions of R players, one row each, and their memory.
+
+        Args:
+            rows: the observations, shape (R, size).
+            memory: as the previous call returned it; ``None`` at first.
+            starts: where True, the memory of that row starts afresh; shape (R,).
+            deterministic: whether a stochastic policy takes its mode.
+        """
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.float32],
+        state: Any = None,
+        episode_start: BoolArray | None = None,
+        deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
+    ) -> tuple[Float32Array, Any]:
+        """Return the actions for observations, and the memory; see :meth:`Policy.predict`.
+
+        Raises:
+            ValueError: when observations, ``episode_start`` or the memory have another shape than the policy needs.
+        """
+        rows = np.atleast_2d(np.asarray(observation, dtype=np.float32))
+        count, size = len(rows), self.made_for.get("size", rows.shape[-1])
+        if rows.ndim != 2 or rows.shape[1] != size:
+            raise ValueError(
+                f"this policy was built for observations of length {size} (one row, or one per player), got the shape "
+                f"{np.shape(observation)}"
+            )
+        starts = np.zeros(count, np.bool_) if episode_start is None else np.atleast_1d(episode_start).astype(np.bool_)
+        if starts.shape != (count,):
+            raise ValueError(f"episode_start has the shape {starts.shape}, and the {count} rows need ({count},)")
+        if missing := -count % self.block:
+            rows = np.concatenate([rows, np.zeros((missing, size), np.float32)])
+            starts = np.concatenate([starts, np.zeros(missing, np.bool_)])
+        actions, state = self.decide(rows, state, starts, deterministic=deterministic)
+        actions = np.asarray(actions, dtype=np.float32)
+        return (actions[0] if np.ndim(observation) == 1 else actions[:count]), state

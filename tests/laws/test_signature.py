@@ -110,6 +110,8 @@ def test_observations_and_memories_of_another_scenario_are_refused():
     law = laws.Adaptive(layout)
     with pytest.raises(ValueError, match="this policy was built for observations of length"):
         law.predict(foreign)
+    with pytest.raises(ValueError, match=r"episode_start has the shape \(2,\), and the 15 rows need \(15,\)"):
+        law.predict(observations, episode_start=np.zeros(2, bool))
     _, memory = law.predict(observations)
     with pytest.raises(ValueError, match=r"memory has the shape \(15, 2\).*need \(3, 2\); pass state=None"):
         law.predict(observations[:3], state=memory)

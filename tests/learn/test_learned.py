@@ -17,6 +17,7 @@ from policy_files import OBSERVATION, first_entries, metadata, network, write
 import ptne_env
 from ptne_env import Interface, learn
 from ptne_env.learn import Metadata, PolicyFileError
+from ptne_env.perception.observation import LayoutError
 from ptne_env.suites import find_scenario
 
 
@@ -35,7 +36,7 @@ def test_a_policy_acts_in_the_environment_of_its_layout(tmp_path, layout):
     assert state == "memory"
     single, _ = policy.predict(rows[3])
     np.testing.assert_array_equal(single, actions[3])
-    with pytest.raises(PolicyFileError, match=f"length {OBSERVATION}"):
+    with pytest.raises(ValueError, match=f"length {OBSERVATION}"):
         policy.predict(rows[:, 1:])
 
 
@@ -53,7 +54,7 @@ def test_a_policy_acts_in_the_environment_of_its_layout(tmp_path, layout):
 def test_another_layout_is_refused_and_named(tmp_path, layout, changes, named):
     path = write(tmp_path / "mine.onnx", first_entries(actions=len(changes.get("action_dims", "12345"))), **changes)
     learn.load(path)
-    with pytest.raises(PolicyFileError, match=f"another layout; .*{named}"):
+    with pytest.raises(LayoutError, match=f"another layout; .*{named}"):
         learn.load(path, layout)
 
 

@@ -9,7 +9,8 @@ import pytest
 
 import ptne_env
 from ptne_env import learn
-from ptne_env.learn import PolicyFileError, PolicyLayoutError, recurrent
+from ptne_env.learn import PolicyFileError, recurrent
+from ptne_env.perception.observation import LayoutError
 from ptne_env.suites import get_suite
 
 WEIGHTS = recurrent.initial_weights(np.random.default_rng(0), hidden=6, slot_hidden=4)
@@ -41,7 +42,7 @@ def test_a_player_knows_where_a_wall_of_its_box_holds_it():
     observations, _ = env.reset(seed=0)
     for _ in range(40):
         rows = np.stack(list(observations.values()))
-        actions, memory, _ = policy.decide(rows, memory)
+        actions, memory = policy.predict(rows, memory)
         observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
     at_a_wall = (np.abs(rows[:, env.layout.slices["own_estimate"]]) == 5) & env.layout.own_mask
     assert at_a_wall.any()
@@ -55,13 +56,13 @@ def test_actions_of_a_network_that_does_not_know_costs_do_not_depend_on_their_un
     observations, _ = env.reset(seed=0)
     for _ in range(10):
         rows = np.stack(list(observations.values()))
-        actions, memory, _ = policy.decide(rows, memory)
+        actions, memory = policy.predict(rows, memory)
         rows[:, env.layout.slices["own_gradient"]] *= 1000
-        in_cents, other, _ = policy.decide(rows, other)
+        in_cents, other = policy.predict(rows, other)
         np.testing.assert_allclose(in_cents, actions, rtol=1e-3, atol=1e-4 * np.abs(actions).max())
         observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
     agreed, _ = env.reset(options={"estimates": np.zeros((5, 5))})
-    assert policy.decide(np.stack(list(agreed.values())))[0].any()  # though there is no length to compare with
+    assert policy.predict(np.stack(list(agreed.values())))[0].any()  # though there is no length to compare with
 
 
 def test_a_neighbour_is_known_by_all_that_it_says():
@@ -73,26 +74,26 @@ def test_a_neighbour_is_known_by_all_that_it_says():
     other = rows.copy()
     other[0, env.layout.slices["relative_estimates"].start] /= 2  # not the largest difference, which sets the scale
     for policy, first, second in zip(policies, (rows, other), (other, rows), strict=True):
-        before = policy.decide(rows, policy.decide(rows)[1])[2]
-        after = policy.decide(second, policy.decide(first)[1])[2]
-        shares = [each[0, 0, 1:] / each[0, 1, 1:] for each in (before, after)]  # of attention, whatever the amplitude
+        before = policy.predict(rows, policy.predict(rows)[1])[1]["gates"]
+        after = policy.predict(second, policy.predict(first)[1])[1]["gates"]
+        shares = [each[0, 1:, 0] / each[1, 1:, 0] for each in (before, after)]  # of attention, whatever the amplitude
         assert (np.abs(shares[0] - shares[1]) > 1e-4 * shares[0]).all()
-        np.testing.assert_array_equal(before[1:], after[1:])
+        np.testing.assert_array_equal(before[..., 1:], after[..., 1:])
 
 
 def test_components_follow_the_moves_of_others_by_learned_shares():
     env = ptne_env.parallel_env("random-energy", interface="physical")
     rows = np.stack(list(env.reset(seed=0)[0].values()))
     policy = opened().with_layout(env.layout)
-    alone = policy.decide(rows)[0]
+    alone = policy.predict(rows)[0]
     weights = WEIGHTS | {"query": np.ones_like(WEIGHTS["query"])}
-    together = recurrent.RecurrentPolicy("mine", weights, env.layout, {}).decide(rows)[0]
+    together = recurrent.RecurrentPolicy("mine", weights, env.layout, {}).predict(rows)[0]
     assert (alone != together).all()
     at_rest = rows.copy()  # where nothing is to move, nothing follows
     for name in ("own_gradient", "relative_estimates"):
         at_rest[:, env.layout.slices[name]] = 0
     weights["out"] = np.zeros_like(weights["out"])
-    assert not recurrent.RecurrentPolicy("mine", weights, env.layout, {}).decide(at_rest)[0].any()
+    assert not recurrent.RecurrentPolicy("mine", weights, env.layout, {}).predict(at_rest)[0].any()
 
 
 def test_a_neighbour_that_lies_does_not_set_the_unit_of_small_moves():
@@ -103,7 +104,7 @@ def test_a_neighbour_that_lies_does_not_set_the_unit_of_small_moves():
     for lie in (1e3, 1e6):
         rows = np.stack([*env.reset(seed=0)[0].values()])
         rows[:, env.layout.slices["relative_estimates"].start] += lie
-        actions.append(policy.decide(rows)[0])
+        actions.append(policy.predict(rows)[0])
     np.testing.assert_allclose(*actions, rtol=1e-3)
     assert (np.abs(actions) < env.layout.action_bound).all()
 
@@ -180,7 +181,7 @@ def test_a_foreign_file_is_refused_with_the_reason(content, reason):
 
 
 def test_a_policy_without_a_layout_or_with_another_interface_says_so():
-    with pytest.raises(PolicyFileError, match=r"without a layout.*load\(path, env.layout\)"):
+    with pytest.raises(LayoutError, match=r"without a layout.*load\(path, env.layout\)"):
         opened().predict(np.zeros(3, dtype=np.float32))
-    with pytest.raises(PolicyLayoutError, match="acts through"):
+    with pytest.raises(LayoutError, match="interface: policy .*physical.*, environment"):
         opened().with_layout(ptne_env.parallel_env("energy").layout)

@@ -131,14 +131,14 @@ def test_another_archive_or_layout_is_refused(tmp_path):
     path = tmp_path / "model.zip"
     PPO("MlpPolicy", scaled, device="cpu").save(path)
     assert load_archive(str(path)).interface == scaled.layout.interface
-    with pytest.raises(PolicyFileError, match=r"the policy was made for another layout; size: policy 24, environment"):
+    with pytest.raises(LayoutError, match=r"the policy was made for another layout; size: policy 24, environment"):
         load_archive(str(path), PlayerVecEnv("robots", 1).layout)
     for content in (b"", b"not a zip", path.read_bytes()[:-300]):
         path.write_bytes(content)
         with pytest.raises(PolicyFileError, match="is not an archive of a Stable-Baselines3 model"):
             load_archive(str(path))
     PPO("MlpPolicy", "Pendulum-v1", device="cpu").save(path)
-    with pytest.raises(PolicyFileError, match="interface: .*'physical'.*; size: policy 3, .*action_size: policy 1,"):
+    with pytest.raises(LayoutError, match="interface: .*'physical'.*; size: policy 3, .*action_size: policy 1,"):
         load_archive(str(path), scaled.layout)
     PPO("MlpPolicy", "CartPole-v1", device="cpu").save(path)
     with pytest.raises(PolicyFileError, match="was not trained on one player's observations and actions"):
