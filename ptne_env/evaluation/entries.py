@@ -129,6 +129,7 @@ class PolicySpec:
                 built = source.build(layout=layout)
             elif isinstance(source, type) or not hasattr(source, "predict"):
                 built = source(layout)
+            _require_observations_of(layout, built)
             if hasattr(built, "with_layout"):  # one object plays many worlds
                 built = built.with_layout(layout)
         except (LayoutError, MemoryError):
@@ -136,19 +137,6 @@ class PolicySpec:
         except Exception as error:
             called = "; it is called with the layout" * isinstance(error, TypeError)
             raise PolicyError(f"it cannot be built: {describe(error)}{called}") from error
-        expected = getattr(getattr(built, "observation_space", None), "shape", None)  # of a Stable-Baselines3 model
-        acts_for_all = (layout.num_players * layout.action_size,)  # in JointEnv, whatever the interface
-        if expected != (layout.size,) and getattr(getattr(built, "action_space", None), "shape", None) == acts_for_all:
-            raise LayoutError(
-                "it was trained on the joint observation of all players, which no player has; train one policy for "
-                "every player, on ptne_env.envs.sb3.PlayerVecEnv"
-            )
-        if expected not in (None, (layout.size,)):
-            raise LayoutError(
-                f"it was trained on observations of shape {expected}, and this track with the interface "
-                f"{layout.interface.kind!r} has {(layout.size,)}; if it was trained with another interface, give that "
-                "one: PolicySpec(name, model, ptne_env.Interface('physical'))"
-            )
         if not hasattr(built, "predict"):
             made = "it is" if built is source else "called with the layout, it returned"
             raise PolicyError(f"{made} a {type(built).__name__} without predict(observation, state, ...)")
@@ -181,6 +169,23 @@ class PolicySpec:
             return cls(data["name"], sources if len(sources) != 1 else sources[0], interface)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"not a policy: {type(error).__name__}: {error}") from None
+
+
+def _require_observations_of(layout: ObservationLayout, model: Any) -> None:
+    """Refuse a model of Stable-Baselines3 that was trained on other observations than a layout's."""
+    expected = getattr(getattr(model, "observation_space", None), "shape", None)
+    acts_for_all = (layout.num_players * layout.action_size,)  # in JointEnv, whatever the interface
+    if expected != (layout.size,) and getattr(getattr(model, "action_space", None), "shape", None) == acts_for_all:
+        raise LayoutError(
+            "it was trained on the joint observation of all players, which no player has; train one policy for "
+            "every player, on ptne_env.envs.sb3.PlayerVecEnv"
+        )
+    if expected not in (None, (layout.size,)):
+        raise LayoutError(
+            f"it was trained on observations of shape {expected}, and this track with the interface "
+            f"{layout.interface.kind!r} has {(layout.size,)}; if it was trained with another interface, give that "
+            "one: PolicySpec(name, model, ptne_env.Interface('physical'))"
+        )
 
 
 def _declared_interface(source: PolicySource) -> Interface | None:
