@@ -17,8 +17,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from ptne_env.evaluation import get_policy_spec
-from ptne_env.report.traces import Scene, scene
-from ptne_env.report.video import gif
+from ptne_env.report.traces import Scene, make_scene
+from ptne_env.report.video import encode_gif
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
 from ptne_env.suites import get_suite
@@ -79,7 +79,7 @@ def pictures(policy: str, count: int) -> Iterator[Any]:
         for place, track in enumerate(suite.tracks):
             left, right = axes[place // COLUMNS, 2 * (place % COLUMNS) : 2 * (place % COLUMNS) + 2]
             team = None if track.teammates is None else track.teammates.join
-            found = scene(track.world, suite.episode_set(track.name, 1), [spec], team)
+            found = make_scene(track.world, suite.episode_set(track.name, 1), [spec], team)
             left.axis("on")
             panels.append(Panel(track.name, found, spec.name, left, right))
         for share in np.linspace(0, 1, count):
@@ -95,7 +95,7 @@ def main() -> None:
     parser.add_argument("--policy", default="observer-relay")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "images" / "tracks.gif")
     given = parser.parse_args()
-    write_atomically(given.out, gif(pictures(given.policy, PICTURES), PER_SECOND))
+    write_atomically(given.out, encode_gif(pictures(given.policy, PICTURES), PER_SECOND))
     print(f"written: {given.out}, {given.out.stat().st_size} bytes")
 
 

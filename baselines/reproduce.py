@@ -24,7 +24,7 @@ from paper.table import TableRow, table_one
 from ptne_env import __version__
 from ptne_env.cli.console import console, progress
 from ptne_env.report.tables import Cell, Column, Table, text_table
-from ptne_env.report.terminal import show
+from ptne_env.report.terminal import draw_table
 from ptne_env.shared.files import write_atomically
 
 RESULTS_FILE = "results.json"
@@ -147,7 +147,7 @@ def main() -> None:
         reproduction = reproduce(out, progress=advance)
     screen = console()
     for table in paper_tables(reproduction):
-        screen.print(show(table, screen.width))
+        screen.print(draw_table(table, screen.width))
     print(f"{len(reproduction.figures)} figures and results.json written to {out}")
 
 

@@ -12,8 +12,8 @@ from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, console, json_text, say, write_json
 from ptne_env.evaluation import POLICIES
-from ptne_env.report.certificates import certificate_tables
-from ptne_env.report.terminal import show
+from ptne_env.report.tables import certificate_tables
+from ptne_env.report.terminal import draw_table
 
 
 @app.command(cls=Command)
@@ -45,6 +45,6 @@ def certify(
     write_json(json, json_text(certificate.to_dict()))
     screen = console()
     for table in certificate_tables(certificate):
-        screen.print(show(table, screen.width))
+        screen.print(draw_table(table, screen.width))
     if json is not None:
         say(f"Certificate written to {json}")

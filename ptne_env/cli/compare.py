@@ -15,7 +15,7 @@ from ptne_env.cli.console import STDOUT, check_writable, console, progress, say,
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
 from ptne_env.evaluation.run import EPISODES
 from ptne_env.execution import Runner, Workers
-from ptne_env.report import comparison
+from ptne_env.report.page import results_page
 from ptne_env.report.terminal import answer_tables, result_tables
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites import run_suite
@@ -128,7 +128,7 @@ def compare(
             write_atomically(files[0], text + "\n")
             write_atomically(files[1], results.to_csv())
         if page is not None:
-            made = comparison.page(
+            made = results_page(
                 results,
                 shlex.join(["ptne", *sys.argv[1:]]),
                 workers,

@@ -14,8 +14,8 @@ from ptne_env.cli.console import check_writable, console, json_text, progress, s
 from ptne_env.evaluation.results import read_results
 from ptne_env.execution.verification import SAMPLE
 from ptne_env.execution.verification import verify as run_verification
-from ptne_env.report.certificates import verification_tables
-from ptne_env.report.terminal import show
+from ptne_env.report.tables import verification_tables
+from ptne_env.report.terminal import draw_table
 from ptne_env.shared.parts import foreign_targets
 
 
@@ -45,7 +45,7 @@ def verify(
     write_json(json, json_text({**found, "same_arithmetic": outcome.same_arithmetic}))
     screen = console()
     for table in verification_tables(outcome):
-        screen.print(show(table, screen.width))
+        screen.print(draw_table(table, screen.width))
     say(f"{len(rows)} of {outcome.jobs} jobs were run again")
     if not outcome.passes:
         raise typer.Exit(ExitCode.FAILED)

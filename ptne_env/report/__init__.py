@@ -1,1 +1,1 @@
-"""Tables, pages, pictures and videos of results, one module each."""
+"""Tables, pages, pictures and videos of results."""

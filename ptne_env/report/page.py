@@ -1,38 +1,96 @@
-"""Pages that open without a network, from one template: text, tables, charts and the player of an episode."""
+"""Pages that open without a network, from one template: text, tables, charts and the player of an episode.
+
+:func:`results_page` is the page of a comparison or of another suite.
+"""
 
 from __future__ import annotations
 
 import json
+import math
+import platform
 import re
 from base64 import b64encode
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from gzip import compress
-from itertools import cycle
+from itertools import chain, cycle
 from typing import Any
 
 import numpy as np
 
-from ptne_env.report.dots import DotPlot
-from ptne_env.report.tables import Table
-from ptne_env.report.traces import Scene
+from ptne_env._version import __version__
+from ptne_env.evaluation.entries import PolicySpec
+from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.results import Results
+from ptne_env.evaluation.statistics import Summary
+from ptne_env.evaluation.tracks import Track
+from ptne_env.execution.workers import Workers
+from ptne_env.report.tables import (
+    Table,
+    answer,
+    answer_table,
+    join_words,
+    leaderboard_table,
+    leaders,
+    means_over_tracks,
+    order_policies,
+    regret_table,
+    track_tables,
+)
+from ptne_env.report.traces import Scene, make_scene
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.style import COLOURS, DARK, LIGHT
+from ptne_env.world import distances
+from ptne_env.world.catalogue import DESCRIPTIONS
 
-_SIGNIFICANT = 2
-"""Digits of errors; strategies and estimates have steps of a hundredth of their range at the start, or finer."""
+EPISODES = 20
+"""Largest number of episodes behind the errors over time; a track with fewer shows all of them."""
+
+MOST_DIGITS = round(-math.log10(distances.FLOOR))
+"""The right end of the dot plot, at which longer intervals are cut."""
+
+_QUESTION = (
+    "Which policy brings the estimates of all players closest to the Nash equilibrium by the deadline, using only "
+    "information that players have, and does it beat the paper's law?"
+)
 
 
 @dataclass(frozen=True)
-class Part:
-    """A part of a page.
+class DotPlot:
+    """The digits of a few policies, a row per track, which the style sheet of the page draws without a script.
+
+    Attributes:
+        kinds: what each policy is, by name.
+        rows: the digits of these policies by track; a policy without a value has no dot.
+    """
+
+    kinds: Mapping[str, str]
+    rows: Mapping[str, Mapping[str, Summary]]
+
+    @property
+    def ticks(self) -> list[int]:
+        """Whole numbers of digits from below the least value, and 0, to above the largest."""
+        ends = [end for row in self.rows.values() for digits in row.values() for end in (digits.low, digits.high)]
+        low, high = math.floor(min([0.0, *filter(None, ends)])), math.ceil(max([1.0, *filter(None, ends)]))
+        step = 1 if high - low <= 8 else 2
+        return list(range(step * math.floor(low / step), min(MOST_DIGITS, high + step - 1) + 1, step))
+
+    def place(self, value: float) -> str:
+        """Return the place of a value in percent of the width."""
+        first, last = self.ticks[0], self.ticks[-1]
+        return f"{100 * (min(value, last) - first) / (last - first):.2f}"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of a page.
 
     Attributes:
         title: its heading.
         text: a paragraph below the heading.
-        tables: below the text.
-        scene: name of the scene of the page whose errors a chart shows.
-        caption: of the chart.
+        tables: the tables below the text.
+        scene: the name of the scene whose errors a chart shows.
+        caption: the caption of the chart.
         facts: names and values.
         has_player: whether the player of the page stands here.
         is_folded: whether a click on the heading shows the rest.
@@ -53,23 +111,23 @@ class Page:
     """The content of a page.
 
     Attributes:
-        title: of the page.
-        parts: in their order.
-        question: that the page answers.
-        answer: in sentences.
+        title: the title.
+        sections: the sections in their order.
+        question: the question that the page answers.
+        answer: the answer in sentences.
         dots: the answer as a picture.
-        scenes: by name; the player shows them.
+        scenes: the scenes that the player shows, by name.
     """
 
     title: str
-    parts: tuple[Part, ...]
+    sections: tuple[Section, ...]
     question: str = ""
     answer: tuple[str, ...] = ()
     dots: DotPlot | None = None
     scenes: Mapping[str, Scene] = field(default_factory=dict)
 
-    def html(self) -> str:
-        """One HTML file with everything that it needs inside.
+    def to_html(self) -> str:
+        """Return one HTML file with everything that it needs inside.
 
         Raises:
             ImportError: when Jinja is missing, naming the extra to install.
@@ -79,12 +137,7 @@ class Page:
         except ImportError as error:
             raise ImportError('pages need Jinja: pip install "ptne-env[bench]"') from error
 
-        names = [
-            *(self.dots.kinds if self.dots else ()),
-            *(name for each in self.scenes.values() for name in each.traces),
-        ]
-        policies = dict(zip(dict.fromkeys(names), cycle(COLOURS), strict=False))
-        packed = {f"scene-{index}": _packed(_drawn(scene)) for index, scene in enumerate(self.scenes.values())}
+        names = [*(self.dots.kinds if self.dots else ()), *chain(*(scene.traces for scene in self.scenes.values()))]
         environment = Environment(
             autoescape=True,  # users choose the names of policies
             loader=PackageLoader("ptne_env.report"),
@@ -92,56 +145,167 @@ class Page:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        made = environment.get_template("page.html").render(
-            page=self, packed=packed, light=LIGHT, dark=DARK, colours=COLOURS, policies=policies
+        html = environment.get_template("page.html").render(
+            page=self,
+            packed={f"scene-{index}": _pack(scene) for index, scene in enumerate(self.scenes.values())},
+            light=LIGHT,
+            dark=DARK,
+            colours=COLOURS,
+            policies=dict(zip(dict.fromkeys(names), cycle(COLOURS), strict=False)),
         )
-        return re.sub(r"\n\s+", "\n", made)  # the indentation of the template is a tenth of the page
+        return re.sub(r"\n\s+", "\n", html)  # the indentation of the template is a tenth of the page
 
 
-def _packed(content: Any) -> str:
-    """JSON as gzip in base64: the browser unpacks it when it is shown."""
-    text = json.dumps(content, ensure_ascii=False, separators=(",", ":"))
-    return b64encode(compress(text.encode(), mtime=0)).decode("ascii")
+def results_page(
+    results: Results,
+    command: str = "",
+    workers: Workers = Workers(),  # noqa: B008 - immutable
+    progress: Callable[[str, int, int], None] | None = None,
+) -> str:
+    """Return results as one HTML file with everything that it needs inside.
+
+    Args:
+        results: the results of a comparison or of another suite.
+        command: the command that repeats the results; empty where none does.
+        workers: the workers that run the episodes of the figures.
+        progress: called with the name of a track, the number of finished tracks, and the number of tracks.
+
+    Raises:
+        ImportError: when Jinja is missing, naming the extra to install.
+    """
+    drawn: dict[int, Scene] = {}
+    for index, scene in workers.run(_track_scene, [_scene_arguments(results, track) for track in results.tracks]):
+        drawn[index] = scene
+        if progress is not None:
+            progress(results.tracks[index].name, len(drawn), len(results.tracks))
+    scenes = {track.name: drawn[index] for index, track in enumerate(results.tracks)}
+    board = leaderboard_table(results)
+    facts = {
+        "command": command,
+        "suite": results.name,
+        "seed": str(results.seed),
+        "split": results.split,
+        "ptne_env": __version__,
+        "Python": platform.python_version(),
+    }
+    names = [track.name for track in results.tracks]
+    where = join_words(names, most=3)
+    if not results.is_comparison:
+        where = f"{len(names)} tracks of {results.name}" if len(names) > 2 else f"{where} of {results.name}"
+    return Page(
+        title=f"{join_words(order_policies(results), most=3)} on {where}",
+        question=_QUESTION,
+        answer=answer(results),
+        dots=_dot_plot(results),
+        sections=(
+            Section(
+                "Results",
+                "Digits are −log10 of the relative distance of all players' estimates from the equilibrium, counted up "
+                "to 12. The mean regret is what the way there costs the players. A click on a heading sorts; a shadow "
+                "at an edge tells that a table goes on there.",
+                (answer_table(results), regret_table(results), *([] if board is None else [board])),
+            ),
+            Section(
+                "Episode player",
+                "Every step of the first episode, the same for every policy. Players have the numbers of their agents: "
+                "0 is player_0.",
+                has_player=True,
+            ),
+            Section("Tracks", "Every metric, and the error over time. Brackets are 95 % intervals."),
+            *(_track_section(results, track, scenes[track.name].episodes) for track in results.tracks),
+            Section("Reproduce", facts=tuple((name, value) for name, value in facts.items() if value)),
+        ),
+        scenes=scenes,
+    ).to_html()
 
 
-def _drawn(scene: Scene) -> dict[str, Any]:
-    """A scene for charts and the player, as a JSON object; numbers that do not exist are ``None``.
+def _scene_arguments(results: Results, track: Track) -> tuple[Track, EpisodeSet, list[PolicySpec]]:
+    """Return the arguments of :func:`_track_scene`: the leaders that act on the track, or else the best that acts."""
+    acting = [name for name in order_policies(results) if (track.name, name) in results.samples]
+    names = [name for name in leaders(results) if name in acting] or acting[:1]
+    whole = results.episode_sets[track.name]
+    return track, replace(whole, count=min(EPISODES, whole.count)), [results.policies[name] for name in names]
 
-    Numbers are as exact as a picture shows them: the digits of noise would be most of the file.
+
+def _track_scene(track: Track, episodes: EpisodeSet, policies: Sequence[PolicySpec]) -> Scene:
+    return make_scene(track.world, episodes, policies, None if track.teammates is None else track.teammates.join)
+
+
+def _track_section(results: Results, track: Track, episodes: int) -> Section:
+    scenario, game = track.scenario, track.world.game
+    about = DESCRIPTIONS.get(track.name, "") if results.is_comparison else track.change
+    until = "the end; the deadline is dotted" if scenario.hold_steps else "the deadline"
+    median = f"median and 10–90 % band over {episodes} episodes" if episodes > 1 else "one episode"
+    return Section(
+        track.name,
+        f"{about} {type(game).__name__} with {game.num_players} players; T = {scenario.deadline:g} s, "
+        f"c = {scenario.gain:g} per second, {scenario.steps} steps to the deadline, {scenario.hold_steps} after it.",
+        tuple(track_tables(results, track)),
+        scene=track.name,
+        caption=f"Relative error of all players' estimates until {until}; {median}.",
+        is_folded=True,
+    )
+
+
+def _dot_plot(results: Results) -> DotPlot:
+    """Return the digits of the leaders on every track, and their means where there are several tracks."""
+    kinds, means = leaders(results), means_over_tracks(results)
+    rows = {
+        track.name: {name: results.summary(track.name, name, "digits") for name in kinds} for track in results.tracks
+    }
+    if len(rows) > 1:
+        rows["mean" if results.is_comparison else "score"] = {name: means[name][0] for name in kinds if name in means}
+    return DotPlot(
+        kinds,
+        {
+            row: {name: digits for name, digits in cells.items() if digits and digits.mean is not None}
+            for row, cells in rows.items()
+        },
+    )
+
+
+def _pack(scene: Scene) -> str:
+    """Return a scene for charts and the player as JSON, gzip and base64, which the browser unpacks when it is shown.
+
+    Numbers that do not exist are ``null``. The others are as exact as a picture shows them, because the digits of noise
+    would be most of the file: two significant digits of errors, and strategies and estimates in steps of a hundredth of
+    their range at the start, or finer.
     """
     starts = np.concatenate([scene.equilibrium, *(trace.strategies[:, 0] for trace in scene.traces.values())])
     decimals = 2 - int(np.floor(np.log10(np.ptp(starts) or 1.0)))
-    changes = np.flatnonzero(np.r_[True, (np.diff(scene.live, axis=1)).any(axis=0)])
-    return {
+    switches = np.flatnonzero(np.r_[True, (np.diff(scene.live, axis=1)).any(axis=0)])
+    content = {
         "t": scene.t.round(6).tolist(),
         "s": scene.s.round(6).tolist(),
-        "gain": _rounded(scene.gain, 3),
+        "gain": _round_digits(scene.gain, 3),
         "deadline": scene.deadline_frame,
         "players": int(scene.owners[-1]) + 1,
         "owners": scene.owners.tolist(),
         "equilibrium": scene.equilibrium.round(6).tolist(),
         "links": scene.links.tolist(),
-        "live": [[int(frame), np.flatnonzero(scene.live[:, frame]).tolist()] for frame in changes],
+        "live": [[int(frame), np.flatnonzero(scene.live[:, frame]).tolist()] for frame in switches],
         "traces": {
             name: {
-                "error": _rounded(trace.error),
-                "errors": _rounded(trace.errors if scene.episodes > 1 else trace.errors[1:2]),
-                "strategies": _fixed(trace.strategies, decimals),
-                "estimates": [] if trace.estimates is None else _fixed(trace.estimates, decimals),
-                "inputs": _fixed(trace.inputs, 2),
+                "error": _round_digits(trace.error, 2),
+                "errors": _round_digits(trace.errors if scene.episodes > 1 else trace.errors[1:2], 2),
+                "strategies": _round_decimals(trace.strategies, decimals),
+                "estimates": [] if trace.estimates is None else _round_decimals(trace.estimates, decimals),
+                "inputs": _round_decimals(trace.inputs, 2),
             }
             for name, trace in scene.traces.items()
         },
     }
+    text = json.dumps(content, ensure_ascii=False, separators=(",", ":"))
+    return b64encode(compress(text.encode(), mtime=0)).decode("ascii")
 
 
-def _fixed(values: FloatArray, decimals: int) -> Any:
-    """Numbers with so many decimals as nested lists."""
-    return _rounded(values.round(decimals) + 0.0, 9)  # no -0.0
+def _round_decimals(values: FloatArray, decimals: int) -> Any:
+    """Return numbers with so many decimals as nested lists."""
+    return _round_digits(values.round(decimals) + 0.0, 9)  # no -0.0
 
 
-def _rounded(values: FloatArray, digits: int = _SIGNIFICANT) -> Any:
-    """Numbers with so many significant digits as nested lists."""
+def _round_digits(values: FloatArray, digits: int) -> Any:
+    """Return numbers with so many significant digits as nested lists."""
     if values.ndim > 1:
-        return [_rounded(row, digits) for row in values]
+        return [_round_digits(row, digits) for row in values]
     return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values]

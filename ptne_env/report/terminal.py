@@ -1,4 +1,4 @@
-"""Tables in a terminal, drawn with rich. Every function returns a renderable and prints nothing."""
+"""Tables in a terminal, drawn with rich; the functions return renderables and print nothing."""
 
 from __future__ import annotations
 
@@ -15,38 +15,39 @@ from ptne_env.evaluation.results import Results
 from ptne_env.report.tables import Column, Table, answer, answer_table, leaderboard_table, track_tables
 
 _NAME_WIDTH = 24
-"""Names of rows are broken at hyphens into lines of at most this length."""
+"""Length of the lines into which names of rows are broken at hyphens."""
 
 _HEADING_WIDTH, _WORD_WIDTH = 11, 15
-"""Headings are broken into lines of at most the first length, a long word of the second: 80 columns have room for the
-names of the tracks of ptne-v1 and four policies."""
+"""Lengths of the lines into which headings, and long words in them, are broken: 80 columns then have room for the names
+of the tracks of ptne-v1 and four policies."""
 
 _TEXT_WIDTH = 100
-"""Sentences are broken into lines of at most this length."""
+"""Length of the lines of sentences."""
 
 _TEXT_COLUMN = 24
-"""Room that a column of words asks for at most; rich wraps them."""
+"""Largest room that a column of words asks for; rich wraps the words."""
 
 _STYLES = {"holds": "green", "agree": "green", "reproduces": "green", "fails": "red", "differs": "red"}
-"""Colours of cells with one of these words."""
+"""Colours of cells by their first word."""
 
 
-def show(table: Table, width: int, *, whole: bool = True) -> Group:
-    """A table in as many pieces, one below the other, as the width asks for.
+def draw_table(table: Table, width: int, *, whole: bool = True) -> Group:
+    """Return a table in as many pieces, one below the other, as the width demands.
 
     Args:
-        table: to draw.
-        width: columns of the terminal.
-        whole: whether columns that find no room follow in further pieces; else they are named below the table.
+        table: the table.
+        width: the number of columns of the terminal.
+        whole: whether the columns that find no room follow in further pieces; otherwise they are named in a note.
     """
     names = {row: textwrap.fill(row, _NAME_WIDTH) for row in table.rows}
     room = width - max((cell_len(line) for name in names.values() for line in name.splitlines()), default=0) - 2
     pieces: list[list[Column]] = []
     left = 0
     for column in table.columns:
-        texts = [_heading(column), *(part for row in table.rows for part in (column[row].text, column[row].interval))]
+        cells = [column[row] for row in table.rows]
+        texts = [_break_heading(column), *(text for cell in cells for text in (cell.text, cell.interval))]
         needed = 3 + max(cell_len(line) for text in texts for line in text.splitlines())
-        if any(cell.is_text for cell in column.cells.values()):
+        if any(cell.is_text for cell in cells):
             needed = min(needed, _TEXT_COLUMN)
         if needed > left or not pieces:
             pieces.append([])
@@ -54,19 +55,19 @@ def show(table: Table, width: int, *, whole: bool = True) -> Group:
         pieces[-1].append(column)
         left -= needed
     drawn: list[RenderableType] = [Text(table.caption, style="italic")]
-    drawn += [_piece(table, names, columns) for columns in (pieces if whole else pieces[:1])]
+    drawn += [_draw_piece(table, names, columns) for columns in (pieces if whole else pieces[:1])]
     if not whole and pieces[1:]:
         hidden = ", ".join(column.label for piece in pieces[1:] for column in piece)
         drawn.append(Text(f"A wider terminal, or --details, also shows {hidden}.", style="dim"))
     return Group(*drawn, *(Text(note, style="dim") for note in table.notes), Text())
 
 
-def _piece(table: Table, names: dict[str, str], columns: list[Column]) -> RichTable:
+def _draw_piece(table: Table, names: dict[str, str], columns: list[Column]) -> RichTable:
     piece = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
     piece.add_column(table.subject)
     for column in columns:
         is_text = any(cell.is_text for cell in column.cells.values())
-        piece.add_column(Text(_heading(column)), justify="left" if is_text else "right", no_wrap=not is_text)
+        piece.add_column(Text(_break_heading(column)), justify="left" if is_text else "right", no_wrap=not is_text)
     for row in table.rows:
         cells = []
         for column in columns:
@@ -78,30 +79,31 @@ def _piece(table: Table, names: dict[str, str], columns: list[Column]) -> RichTa
     return piece
 
 
-def _heading(column: Column) -> str:
-    """The label in lines: broken after a blank or a sign within names, or where a word is too long."""
+def _break_heading(column: Column) -> str:
+    """Return the label in lines, broken after blanks and signs within names, and where a word is too long."""
     lines = re.findall(rf".{{1,{_HEADING_WIDTH}}}(?:(?<=[-_:./ ])|$)|\S{{1,{_WORD_WIDTH}}}\s?", column.label)
     return "\n".join(line.strip() for line in lines)
 
 
 def answer_tables(results: Results, width: int) -> Group:
-    """One table of digits that fits the terminal, and one or two sentences.
+    """Return one table of digits that fits the terminal, and one or two sentences.
 
     Args:
-        results: of a comparison or of another suite.
-        width: columns of the terminal; policies that find no room are named below the table, never the paper's law.
+        results: the results of a comparison or of another suite.
+        width: the number of columns of the terminal; policies that find no room are named below the table, but the
+            paper's law always finds room.
     """
     sentences = (Text(textwrap.fill(sentence, min(width, _TEXT_WIDTH))) for sentence in answer(results))
-    return Group(show(answer_table(results), width, whole=False), *sentences, Text())
+    return Group(draw_table(answer_table(results), width, whole=False), *sentences, Text())
 
 
 def result_tables(results: Results, width: int = 172) -> Group:
-    """All tables: those of every track, then the leaderboard of a suite.
+    """Return the tables of every track, then the leaderboard of a suite.
 
     Args:
-        results: of a comparison or of another suite.
-        width: columns of the terminal.
+        results: the results of a comparison or of another suite.
+        width: the number of columns of the terminal.
     """
     tables = [table for track in results.tracks for table in track_tables(results, track)]
     board = leaderboard_table(results)
-    return Group(*(show(table, width) for table in [*tables, *([board] if board else [])]))
+    return Group(*(draw_table(table, width) for table in [*tables, *([board] if board else [])]))

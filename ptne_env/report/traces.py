@@ -1,4 +1,4 @@
-"""Traces for figures: the error against time over a few episodes, and one episode instant by instant."""
+"""Traces for figures: the error over time in a few episodes, and one episode instant by instant."""
 
 from __future__ import annotations
 
@@ -16,22 +16,24 @@ from ptne_env.world.dynamics import State
 from ptne_env.world.world import World
 
 MOST_ESTIMATES = 200
-"""The estimates of all players are kept where they are up to this many numbers, as ``env.render()`` draws them."""
+"""Largest number of estimates of all players that a trace keeps, as many as ``env.render()`` draws."""
 
 QUANTILES = (0.1, 0.5, 0.9)
-"""Of the error over episodes: the band and the median."""
+"""The quantiles of the error over episodes: the ends of the band, and the median between them."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """One policy in one world, at every instant F of the episodes.
+    """One policy in one world, at the F instants of its episodes.
 
     Attributes:
-        errors: :data:`QUANTILES` over episodes of the estimate distance, shape (3, F).
-        error: the estimate distance of the first episode, shape (F,).
-        strategies: x of the first episode, shape (n, F).
-        estimates: x^i in column i, shape (n, N, F); ``None`` where n N is above :data:`MOST_ESTIMATES`.
-        inputs: the inputs of the strategies, held from each instant; NaN at the last. Shape (n, F).
+        errors: the :data:`QUANTILES` over episodes of the estimate distance, shape (3, F).
+        error: the estimate distance in the first episode, shape (F,).
+        strategies: x in the first episode, shape (n, F).
+        estimates: x^i in column i, in the first episode, shape (n, N, F); ``None`` where n N is above
+            :data:`MOST_ESTIMATES`.
+        inputs: the inputs of the strategies in the first episode, held from each instant; NaN at the last. Shape
+            (n, F).
     """
 
     errors: FloatArray
@@ -43,19 +45,19 @@ class Trace:
 
 @dataclass(frozen=True)
 class Scene:
-    """A world, its first episode, and the trace of every policy there.
+    """A world, its first episode, and the traces of policies there.
 
     Attributes:
-        t: seconds at each instant, shape (F,).
-        s: transformed time, shape (F,); it ends at the deadline.
+        t: time in seconds, shape (F,).
+        s: transformed time, which ends at the deadline, shape (F,).
         gain: g(t) in 1/s, shape (F,).
-        deadline_frame: index of the instant T.
+        deadline_frame: the index of the instant T.
         owners: the player that owns each component, shape (n,).
-        equilibrium: x* of the first episode, shape (n,).
-        links: pairs of players that are ever neighbours, shape (L, 2).
+        equilibrium: x* in the first episode, shape (n,).
+        links: the pairs of players that are ever neighbours, shape (L, 2).
         live: whether each link is up in the first episode, shape (L, F).
-        episodes: number of episodes behind the errors.
-        traces: by name of the policy.
+        episodes: the number of episodes behind the errors.
+        traces: the traces by name of the policy.
     """
 
     t: FloatArray
@@ -70,19 +72,19 @@ class Scene:
     traces: Mapping[str, Trace]
 
 
-def scene(
+def make_scene(
     world: World,
     episodes: EpisodeSet,
     policies: Iterable[PolicySpec],
     teammates: Callable[[World], Member] | None = None,
 ) -> Scene:
-    """The traces of several policies, each with its first training seed, from the same starts.
+    """Run policies, each with its first training seed, from the same starts.
 
     Args:
         world: the world.
-        episodes: that are run.
-        policies: with different names.
-        teammates: makes the teammates of each policy; ``None`` where there are none.
+        episodes: the episodes that are run.
+        policies: the policies, with different names.
+        teammates: a function that makes the teammates of each policy; ``None`` where there are none.
 
     Raises:
         ValueError: when a policy cannot act in this world.
@@ -102,12 +104,11 @@ def scene(
         links=links,
         live=live.T,
         episodes=episodes.count,
-        traces={spec.name: _trace(world, start, spec, teammates) for spec in policies},
+        traces={spec.name: _trace_policy(world, start, spec, teammates) for spec in policies},
     )
 
 
-def _trace(world: World, start: State, spec: PolicySpec, teammates: Callable[[World], Member] | None) -> Trace:
-    """The trace of one policy."""
+def _trace_policy(world: World, start: State, spec: PolicySpec, teammates: Callable[[World], Member] | None) -> Trace:
     encoder = make_encoder(world, spec.interface)
     owners = world.game.owners
     own = (np.arange(len(owners)), owners)

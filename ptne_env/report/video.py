@@ -14,8 +14,8 @@ from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.perception.encoder import make_encoder
-from ptne_env.report.page import Page, Part
-from ptne_env.report.traces import scene
+from ptne_env.report.page import Page, Section
+from ptne_env.report.traces import make_scene
 from ptne_env.shared.arrays import FloatArray, require_count
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.style import ctrl_c_waits
@@ -24,16 +24,10 @@ from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
 
 FORMATS = (".gif", ".html")
-"""Suffixes of the files that videos are written to."""
-
-PER_SECOND = 20
-"""Pictures per second."""
+"""Suffixes of the files to which episodes are written: a video, or a page with the player of the report."""
 
 MOST_PICTURES = 500
-"""Pictures of a video at most: all of them are in memory until they share a palette, 1.5 MB each."""
-
-_HOLD = 2
-"""Seconds for which the last picture stays."""
+"""Largest number of pictures in a video: all of them are in memory until they share a palette, 1.5 MB each."""
 
 
 def save_video(
@@ -45,15 +39,15 @@ def save_video(
     pictures: int = 100,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Run the first episode of the test split and write it as a video.
+    """Run the first episode of the test split and write it as a video or a page.
 
     Args:
-        scenario: the world.
-        spec: the policy.
-        path: the file: ``.gif`` or ``.html`` (the player of the report).
-        seed: of the episode, where one is drawn.
-        pictures: number of pictures of a video, evenly spaced in steps; a page shows every step.
-        progress: called with the number of pictures that are drawn and of all.
+        scenario: the scenario that is played.
+        spec: the policy that plays.
+        path: the file, ``.gif`` or ``.html``.
+        seed: the seed of the episode, where one is drawn.
+        pictures: the number of pictures in a video, evenly spaced in steps; a page shows every step.
+        progress: called with the number of pictures that are drawn and the number of pictures.
 
     Raises:
         ValueError: for another suffix, fewer than 2 or more than 500 pictures, or a policy that cannot act in the
@@ -63,23 +57,23 @@ def save_video(
     """
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        raise ValueError(f"a video is written to {', '.join(FORMATS)}, got {path.name!r}")
+        raise ValueError(f"an episode is written to a file that ends in {' or '.join(FORMATS)}, got {path.name!r}")
     if require_count("pictures", pictures, 2) > MOST_PICTURES:
         raise ValueError(f"a video has at most {MOST_PICTURES} pictures, got {pictures}")
     world = World(scenario)
     episode = EpisodeSet(1, seed)
     if suffix == ".html":
-        player = Part("Episode player", has_player=True)
-        page = Page(f"{scenario.name}: {spec.name}", (player,), scenes={scenario.name: scene(world, episode, [spec])})
-        write_atomically(path, page.html())
+        scenes = {scenario.name: make_scene(world, episode, [spec])}
+        player = Section("Episode player", has_player=True)
+        write_atomically(path, Page(f"{scenario.name}: {spec.name}", (player,), scenes=scenes).to_html())
         return
-    write_atomically(path, gif(_pictures(world, spec, episode.initial_state(world), pictures, progress)))
+    write_atomically(path, encode_gif(_draw_pictures(world, spec, episode.initial_state(world), pictures, progress)))
 
 
-def _pictures(
+def _draw_pictures(
     world: World, spec: PolicySpec, start: State, count: int, progress: Callable[[int, int], None] | None
 ) -> Iterator[Any]:
-    """``count`` pictures of an episode, (height, width, 3) uint8 each."""
+    """Yield ``count`` pictures of an episode, uint8 arrays of shape (height, width, 3)."""
     encoder = make_encoder(world, spec.interface)
     states: list[State] = []
 
@@ -104,21 +98,21 @@ def _pictures(
             yield picture
 
 
-def gif(pictures: Iterator[Any], per_second: int = PER_SECOND) -> bytes:
-    """Pictures as the bytes of a GIF that stays on the last one for a while.
+def encode_gif(pictures: Iterator[Any], per_second: int = 20) -> bytes:
+    """Return pictures as the bytes of a GIF that stays on the last one for two seconds.
 
     Args:
-        pictures: (height, width, 3) uint8 each.
-        per_second: how many are shown.
+        pictures: uint8 arrays of shape (height, width, 3).
+        per_second: the number of pictures per second.
     """
-    drawn = list(pictures)  # matplotlib, which needs Pillow, is missed first
+    drawn = list(pictures)  # before Pillow is imported: a missing matplotlib, which brings it, has the clearer message
     from PIL import Image
 
     # Matplotlib's PillowWriter gives every picture its own palette: colours flicker, and files are ten times larger.
     images = [Image.fromarray(picture) for picture in drawn]
     palette = images[-1].quantize(colors=256)  # the last picture has every colour
     images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    durations = [1000 // per_second] * (len(images) - 1) + [1000 * _HOLD]
+    durations = [1000 // per_second] * (len(images) - 1) + [2000]
     buffer = io.BytesIO()
     images[0].save(buffer, "gif", save_all=True, append_images=images[1:], duration=durations, loop=0)
     return buffer.getvalue()

@@ -81,7 +81,7 @@ def test_every_command_has_help(command, run):
         ("compare --suite ptne-v0", "unknown suite 'ptne-v0'; did you mean 'ptne-v1'?"),
         ("compare --suite ptne-v1 nominl", "did you mean 'nominal'?"),
         ("render liar static --out x.gif", "unknown scenario 'liar'; did you mean 'ptne-v1/liar'?"),
-        ("render energy static --out run.avi", "a video is written to .gif, .html"),
+        ("render energy static --out run.avi", "a file that ends in .gif or .html"),
         ("certify energie", "unknown scenario 'energie'"),
         ("certify energy --law statik", "unknown policy 'statik'; did you mean 'static'"),
         ("certify --points 3", "No such option"),

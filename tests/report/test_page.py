@@ -11,10 +11,9 @@ import pytest
 from ptne_env import get_scenario
 from ptne_env.evaluation import EpisodeSet, get_policy_spec
 from ptne_env.evaluation.metrics import number
-from ptne_env.report.comparison import page
-from ptne_env.report.page import Page, Part
+from ptne_env.report.page import Page, Section, results_page
 from ptne_env.report.tables import answer, text_table
-from ptne_env.report.traces import scene
+from ptne_env.report.traces import make_scene
 from ptne_env.shared.style import COLOURS, DARK, LIGHT
 from ptne_env.world.world import World
 
@@ -52,7 +51,7 @@ class Outline(HTMLParser):
 
 @pytest.fixture(scope="module")
 def text(comparison):
-    return page(comparison, "ptne compare energy")
+    return results_page(comparison, "ptne compare energy")
 
 
 @pytest.fixture(scope="module")
@@ -110,8 +109,8 @@ def test_figures_show_the_papers_law_and_the_users_own(outline, text, hostile):
 
 def test_the_player_has_every_step_of_the_first_episode():
     world = World(get_scenario("energy-switching", steps=50))
-    found = scene(world, EpisodeSet(3), [get_policy_spec("static")])
-    drawn = json.loads(unpacked(Outline(Page("", (), scenes={"one": found}).html()), "scene-0"))
+    found = make_scene(world, EpisodeSet(3), [get_policy_spec("static")])
+    drawn = json.loads(unpacked(Outline(Page("", (), scenes={"one": found}).to_html()), "scene-0"))
     trace = found.traces["static"]
     estimates = np.array(drawn["traces"]["static"]["estimates"])
     np.testing.assert_allclose(estimates, trace.estimates, atol=np.ptp(trace.strategies[:, 0]) / 100)
@@ -169,4 +168,4 @@ def test_a_browser_shows_charts_sorts_and_plays(open_file, text, tmp_path, hosti
 
 def test_a_page_of_words_needs_no_scene():
     table = text_table("Claims", "claim", ("says",), [("<b>", "&")])
-    assert "&lt;b&gt;" in Page("Paper", (Part("Claims", tables=(table,)),)).html()
+    assert "&lt;b&gt;" in Page("Paper", (Section("Claims", tables=(table,)),)).to_html()

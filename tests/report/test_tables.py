@@ -14,18 +14,19 @@ from ptne_env.evaluation import METRICS, get_policy_spec
 from ptne_env.evaluation.metrics import number
 from ptne_env.evaluation.statistics import Summary
 from ptne_env.execution.verification import Repetition, Verification
-from ptne_env.report.certificates import certificate_tables, verification_tables
 from ptne_env.report.tables import (
     Cell,
     answer,
     answer_table,
+    certificate_tables,
     first_places,
     leaderboard_table,
     leaders,
     text_table,
     track_tables,
+    verification_tables,
 )
-from ptne_env.report.terminal import answer_tables, result_tables, show
+from ptne_env.report.terminal import answer_tables, draw_table, result_tables
 from ptne_env.suites import leaderboard
 
 
@@ -162,14 +163,14 @@ def test_the_table_of_a_verification_shows_every_verdict(width):
     assert len(table.notes) == 1
     texts = [tuple(column[row].text for column in rebuilt.columns) for row in rebuilt.rows]
     assert texts[-1] == ("differs", "2 more numbers or texts")
-    written(show(table, width), width)
+    written(draw_table(table, width), width)
 
 
 @pytest.mark.parametrize("width", [80, 120])
 def test_a_certificate_shows_what_decides(width):
     certificate = theory.certify(get_scenario("energy"), law=laws.Static)
     assumptions, predictions = certificate_tables(certificate)
-    text = written(show(assumptions, width), width) + written(show(predictions, width), width)
+    text = written(draw_table(assumptions, width), width) + written(draw_table(predictions, width), width)
     words = " ".join(text.split())
     for expected in ("Assumption 4", "holds", "0.280", "fails (sufficient, not necessary)", "exact"):
         assert expected in words
@@ -180,7 +181,7 @@ def test_a_certificate_shows_what_decides(width):
 
 def test_words_are_wrapped_and_no_column_is_lost():
     table = text_table("Claims", "claim", ("says",), [("one", 40 * "long "), ("two", "short")])
-    assert written(show(table, 80), 80).split().count("long") == 40
+    assert written(draw_table(table, 80), 80).split().count("long") == 40
 
 
 def test_numbers_have_three_digits():

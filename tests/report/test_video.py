@@ -51,7 +51,7 @@ def test_html_has_the_player_alone(world, tmp_path):
 
 
 def test_other_suffix_or_too_many_pictures_raise_before_anything_runs(world, tmp_path):
-    with pytest.raises(ValueError, match=r"written to \.gif, \.html, got 'run\.avi'"):
+    with pytest.raises(ValueError, match=r"ends in \.gif or \.html, got 'run\.avi'"):
         save_video(world, get_policy_spec("static"), tmp_path / "run.avi")
     with pytest.raises(ValueError, match="at most 500 pictures, got 9999999"):
         save_video(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=9999999)
