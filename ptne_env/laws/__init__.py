@@ -1,6 +1,7 @@
 """The paper's laws, those of the literature, the strong ones of this library, and reference policies.
 
-All of them act through the interfaces that learned policies use.
+All of them act through the interfaces that learned policies use. A file holds one law, or a law and its variants;
+``base`` holds the base classes, and ``building_blocks`` what several laws are built from.
 """
 
 from ptne_env.laws.adaptive import Adaptive as Adaptive

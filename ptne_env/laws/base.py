@@ -1,11 +1,11 @@
-"""The base class of all laws, and the terms that their equations share."""
+"""The base classes of all laws, and the terms that their equations share."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -13,9 +13,11 @@ from ptne_env.perception.observation import Interface, LayoutError, Observation,
 from ptne_env.perception.policy import RowPolicy, pair
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, is_numpy
 
+Record = TypeVar("Record", bound=tuple[Any, ...])
+
 
 class Law(RowPolicy):
-    """A policy that is built from a layout and acts on observations and its own memory alone.
+    """A policy that is built from a layout, and acts on observations and its own memory alone.
 
     A subclass implements :meth:`inputs`, and :meth:`initial_memory` if it has memory.
 
@@ -77,18 +79,18 @@ class Law(RowPolicy):
 
     @abstractmethod
     def inputs(self, observation: Observation, memory: Any) -> tuple[FloatArray, Any]:
-        """The law itself, in float64 and before the action box clips.
+        """Return the inputs of the law, in float64 and before the action box clips them.
 
         Args:
             observation: parsed, of R players.
             memory: as returned by the previous call, or by :meth:`initial_memory`; one row per player.
 
         Returns:
-            The inputs u^i in the observation's unit, shape (R, n), and the memory for the next step.
+            The inputs u^i in the unit of the observation, shape (R, n), and the memory for the next step.
         """
 
     def initial_memory(self, rows: int) -> Any:  # noqa: ARG002 - laws with memory use it
-        """The memory at the start of an episode for R players, one row each; ``None`` for a law without memory."""
+        """Return the memory of R players at the start of an episode, one row each; ``None`` without memory."""
         return None
 
     @property
@@ -97,25 +99,83 @@ class Law(RowPolicy):
         return self._row_shape is not None
 
     def gains(self, memory: Any) -> FloatArray | None:  # noqa: ARG002 - laws whose gains adapt use it
-        """The gains that act, from a memory with one row per player; ``None`` for a law without adaptive gains.
+        """Return the gains in a memory with one row per player; ``None`` for a law without adaptive gains.
 
         With these gains frozen, the law is one without memory.
         """
         return None
 
 
+class RecordLaw(Law):
+    """A law whose memory is a record of named arrays, which travels as one flat row per player.
+
+    A subclass sets ``start`` in its constructor.
+
+    Attributes:
+        start: the record of one player at the start of an episode: a named tuple of arrays (1, ...) and of such tuples.
+    """
+
+    start: tuple[Any, ...]
+
+    def initial_memory(self, rows: int) -> FloatArray:
+        """Return the record of the start in every row, shape (R, size)."""
+        return np.repeat(self.pack(self.start), rows, axis=0)
+
+    def pack(self, record: tuple[Any, ...]) -> FloatArray:
+        """Return the memory (R, size) that holds a record of R players; a new array."""
+        parts = [np.asarray(part, dtype=np.float64) for part in _arrays(record)]
+        return np.concatenate([part.reshape(len(part), part[:1].size) for part in parts], axis=1)
+
+    def unpack(self, memory: FloatArray) -> Any:
+        """Return the record that a memory holds, the inverse of :meth:`pack`; its arrays are views."""
+        first = 0
+
+        def take(like: Any) -> Any:
+            nonlocal first
+            if isinstance(like, tuple):
+                return _like(like, map(take, like))
+            part = memory[:, first : first + like.size].reshape(len(memory), *like.shape[1:])
+            first += like.size
+            return part
+
+        return take(self.start)
+
+
+def select_rows(mask: BoolArray, fresh: Record, old: Record) -> Record:
+    """Return the rows of ``fresh`` in a mask (R, 1) and the rows of ``old`` elsewhere, array by array."""
+    if mask.all():
+        return fresh
+
+    def select(new: Any, before: Any) -> Any:
+        if isinstance(new, tuple):
+            return select_rows(mask, new, before)
+        return np.where(mask.reshape(-1, *(1,) * (new.ndim - 1)), new, before)
+
+    return _like(fresh, map(select, fresh, old))
+
+
+def _arrays(record: tuple[Any, ...]) -> list[Any]:
+    """Return the arrays of a record in order."""
+    return [array for part in record for array in (_arrays(part) if isinstance(part, tuple) else [part])]
+
+
+def _like(record: Any, parts: Any) -> Any:
+    """Return a tuple of the kind of ``record`` with other parts."""
+    return record._make(parts) if hasattr(record, "_make") else tuple(parts)
+
+
 def consensus(weights: FloatArray, relative_estimates: FloatArray) -> FloatArray:
-    """Σ_j a_ij (x^j − x^i) over neighbour slots: (..., D) and (..., D, n) to (..., n)."""
+    """Return Σ_j a_ij (x^j − x^i) over neighbour slots: (..., D) and (..., D, n) to (..., n)."""
     if is_numpy(weights):
         return np.einsum("...d,...dn->...n", weights, relative_estimates)
     return (weights[..., None] * relative_estimates).sum(-2)
 
 
 def step_length(observation: Observation) -> FloatArray:
-    """Θ_k of the coming step as a divisor, shape (R, 1); infinite at the terminal step, which no action follows."""
+    """Return Θ_k of the coming step as a divisor, shape (R, 1): infinite at the end, which no action follows."""
     return np.where(observation.theta == 0, np.inf, observation.theta)
 
 
 def per_step(displacements: FloatArray, observation: Observation) -> FloatArray:
-    """The inputs Δx/Θ that move estimates by Δx = ``displacements`` (R, n) within the step; 0 at the terminal step."""
+    """Return the inputs Δx/Θ that move estimates by Δx = ``displacements`` (R, n) in the step; 0 at the end."""
     return displacements / step_length(observation)

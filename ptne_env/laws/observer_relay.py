@@ -7,52 +7,62 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ptne_env.laws import filters, reactions
-from ptne_env.laws.base import per_step, step_length
-from ptne_env.laws.best_response import LARGEST_ROW, largest, own_block, own_places, with_own, within_reach
-from ptne_env.laws.contact_relay import LastMove, Own, no_move, own_side
-from ptne_env.laws.contacts import Contacts, contacts, heard_messages, no_contacts
-from ptne_env.laws.damping import Damping, damped, is_loose, tempered
-from ptne_env.laws.memory import RecordLaw, chosen
+from ptne_env.laws.base import RecordLaw, per_step, select_rows, step_length
+from ptne_env.laws.building_blocks import messages as messaging
+from ptne_env.laws.building_blocks import reactions
+from ptne_env.laws.building_blocks.messages import Contacts, Damage, Filters
+from ptne_env.laws.building_blocks.own_gradient import (
+    LARGEST_ROW,
+    OwnMemory,
+    OwnSide,
+    clip_to_reach,
+    initial_own_memory,
+    largest,
+    observe_own_side,
+    own_block,
+    own_places,
+    with_own,
+)
+from ptne_env.laws.building_blocks.reactions import Damping, Planes
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, fold
 
 RULES = ("noise", "rounding", "restraint", "statement", "trust", "damping", "reactions")
-"""The rules that ``without`` switches off."""
+"""The rules that ``without`` may switch off."""
 
 _NEWS = 5.0
-"""A copy that has moved by more than this many deviations of a difference of two messages has news."""
+"""A copy has news once it moved by more than this many standard deviations of a difference of two messages."""
 
 _NEAR = 2.0
-"""A copy follows its source at once where both of the last messages are farther than so many deviations away."""
+"""A copy follows its source at once where the last two messages are farther away than this many deviations."""
 
 _HALF = 0.5
 """Weight of a noisy copy otherwise."""
 
 _LIE, _GROSS = 4.0, 0.01
-"""Deviations by which a neighbour may be wrong about the own strategy, and share of the largest own estimate."""
+"""Error about the own strategy that a neighbour may make: in standard deviations, plus a share of the own estimate."""
 
 _OTHERS, _DOUBTFUL = 0.03, 0.1
-"""Weight of neighbours that are no source where the trust in every source is below the second number."""
+"""Neighbours that are no source get the first weight where every source is trusted less than the second."""
 
 _CLOSING = 1.0
-"""Transformed time before the end in which beliefs are stated; at least the last step."""
+"""Transformed time before the end from which on beliefs are stated, in the last step at the latest."""
 
 _FADE = 0.7
 """Share of the recent error of predictions that is left after a step: one good prediction proves little."""
 
 
-class State(NamedTuple):
+class ObserverRelayMemory(NamedTuple):
     """What R players remember from step to step."""
 
     steps: FloatArray  # number of steps so far, shape (R, 1)
-    own: LastMove  # the own side
+    own: OwnMemory  # the own side
     contacts: Contacts  # with the neighbours
-    filters: filters.Filters  # of their messages
+    filters: Filters  # of their messages
     damping: Damping  # of responses
     doubt: FloatArray  # the recent error of predictions of the own gradient, as a displacement, shape (R, 1)
     broke: FloatArray  # whether a link of the player ever broke, shape (R, 1)
-    planes: reactions.Planes | tuple[()]  # the neighbours' reactions; empty in games with more than 32 components
+    planes: Planes | tuple[()]  # the neighbours' reactions; empty in games with more than 32 components
     reckoned: FloatArray  # the own estimates by dead reckoning, in float64, shape (R, n)
 
 
@@ -84,15 +94,15 @@ class ObserverRelay(RecordLaw):
             raise ValueError(f"unknown rule {min(unknown)!r}; choose from {', '.join(RULES)}")
         self.without = tuple(without)
         none, own = np.zeros((1, 1)), np.zeros((1, layout.dimension))
-        self.start = State(
+        self.start = ObserverRelayMemory(
             steps=none,
-            own=no_move(layout),
-            contacts=no_contacts(layout),
-            filters=filters.no_filters(layout),
+            own=initial_own_memory(layout),
+            contacts=messaging.initial_contacts(layout),
+            filters=messaging.initial_filters(layout),
             damping=Damping(none + 1, none, none, own, none, np.zeros((1, max(layout.action_dims)))),
             doubt=none,
             broke=none,
-            planes=reactions.no_planes(layout) if layout.dimension <= LARGEST_ROW else (),
+            planes=reactions.initial_planes(layout) if layout.dimension <= LARGEST_ROW else (),
             reckoned=own,
         )
 
@@ -105,29 +115,30 @@ class ObserverRelay(RecordLaw):
         scale, none, relative = largest(estimate), np.zeros_like(estimate), observation.relative_estimates
 
         # What the neighbours say, and beneath noise or rounding, what they mean.
-        messages = heard_messages(observation, was.contacts.live, was.filters.last)
-        filters_now, damage = filters.measured(messages, was.filters, steps, owners, scale)
+        messages = messaging.read_messages(observation, was.contacts.live, was.filters.last)
+        filters, damage = messaging.measure_damage(messages, was.filters, steps, owners, scale)
         tells = (was.broke == 0) & ("rounding" not in without)  # a dither's mean needs links that last
-        damage = filters.Damage(damage.noise * ("noise" not in without), damage.step * tells)
+        damage = Damage(damage.noise * ("noise" not in without), damage.step * tells)
         deviation, is_damaged = damage.deviation[:, :, None], damage.deviation > 0
         meant, variance = relative, np.ones_like(relative)
         if is_damaged.any():
-            found = filters.filtered(messages, was.filters, filters_now, damage)
-            filters_now, (means, variance) = chosen(is_damaged, found, (filters_now, (messages.content, variance)))
+            filtered = messaging.filter_messages(messages, was.filters, filters, damage)
+            plain = filters, (messages.content, variance)
+            filters, (means, variance) = select_rows(is_damaged, filtered, plain)
             meant = np.where(is_damaged[:, :, None], means - estimate[:, None], relative)
         variance = np.where(is_damaged[:, :, None], variance * deviation**2, 1.0)
 
         # Whom to copy: neighbours with fresher copies, and a little those that are right about the own strategy.
         drifted = np.where(is_own, 0.0, was.own.asked)
         news = _NEWS * np.sqrt(2) * damage.noise[:, :, None]
-        sources, met = contacts(observation, was.contacts, steps > 0, drifted, owners, news)
+        sources, contacts = messaging.find_sources(observation, was.contacts, steps > 0, drifted, owners, news)
         live = messages.live[:, :, None] & ~is_own[:, None]
         sources &= live
         gross = np.where(is_damaged, damage.deviation**2 + (_GROSS * scale) ** 2, 0.0)[:, :, None]
         trust = 1.0 if "trust" in without else _trust(meant, variance, gross, is_own, owners)
         doubtful = is_damaged & (np.where(sources, trust, 0.0).max(axis=1) < _DOUBTFUL) & sources.any(axis=1)
         # Neighbours whose messages never change are no sources; their mean is better than the start.
-        is_silent = np.isinf(filters_now.width) & (filters_now.age >= reactions.START).any(axis=1, keepdims=True)
+        is_silent = np.isinf(filters.width) & (filters.age >= reactions.START).any(axis=1, keepdims=True)
         doubtful |= is_silent & ~sources.any(axis=1)
         shares = np.where(sources, 1.0, _OTHERS * (live & doubtful[:, None])) * trust
         copy = _mean(shares, relative)
@@ -135,8 +146,8 @@ class ObserverRelay(RecordLaw):
 
         # The others' estimates: copies, slower within the noise, and the belief at the end.
         far = np.minimum(np.abs(relative), np.abs(was.filters.last - estimate[:, None])) > _NEAR * deviation
-        is_far = (far & sources & (filters_now.age >= 2)[:, :, None]).any(axis=1)
-        contact = np.where(sources, filters_now.age[:, :, None], 0.0).max(axis=1)
+        is_far = (far & sources & (filters.age >= 2)[:, :, None]).any(axis=1)
+        contact = np.where(sources, filters.age[:, :, None], 0.0).max(axis=1)
         is_slow = (damage.noise > 0) & ~is_far & (contact != 1) & ("restraint" not in without)
         copy = np.where(is_slow, _HALF, 1.0) * copy
         left = layout.largest_clock[1] - observation.transformed
@@ -146,42 +157,42 @@ class ObserverRelay(RecordLaw):
 
         # The own strategy: a best response to them, damped where responses of all players at once do not settle.
         broke = np.maximum(was.broke, (messages.was_live & ~messages.live).any(axis=1, keepdims=True))
-        own = own_side(observation, was.own, steps, layout, broke)
+        own = observe_own_side(observation, was.own, steps, layout, broke > 0)
         rests = own.is_probe | is_own
         drift, aim = np.where(rests, 0.0, drift), np.where(rests, 0.0, aim)
-        response = with_own(none, tempered(own, was.damping, was.own.gradient, aim), own.blocks)
+        response = with_own(none, reactions.damp_response(own, was.damping, was.own.gradient, aim), own.blocks)
         doubt = self._doubt(own, was.doubt, steps)
-        loose = is_loose(own, steps, layout.dimension) & ("damping" not in without)
-        damping = damped(
+        loose = reactions.is_loose(own, steps, layout.dimension) & ("damping" not in without)
+        damping = reactions.update_damping(
             was.damping, loose, response, own.gradient - was.own.gradient, steps, damage.noise, doubt, scale
         )
         planned = drift + response
 
         # What exact neighbours will do: planes of their reactions, solved with the own condition where links break.
-        here = reactions.reckoned_estimate(estimate, was.reckoned, steps)
+        here = reactions.reckon_estimate(estimate, was.reckoned, steps)
         planes = was.planes
-        if isinstance(planes, reactions.Planes) and not is_damaged.all() and "reactions" not in without:
-            learned = reactions.learned_planes(observation, messages, planes, steps, here, layout)
-            planes = chosen(~is_damaged, learned, planes)
+        if isinstance(planes, Planes) and not is_damaged.all() and "reactions" not in without:
+            learned = reactions.learn_planes(observation, messages, planes, steps, here, layout)
+            planes = select_rows(~is_damaged, learned, planes)
             is_free = ~own.held.any(axis=1, keepdims=True)  # planes bend at bounds
             solves = ~is_damaged & (broke > 0) & (steps >= reactions.START) & is_free
             if solves.any():
-                point, counts = reactions.joint_solution(
+                point, counts = reactions.solve_jointly(
                     observation.player, planes, here, here + planned, own, doubt, layout
                 )
                 planned = np.where(solves & counts, point - here, planned)
 
         # Rounded messages tell the own strategy between two multiples if it is dithered.
         shakes = is_own & ~(left <= np.maximum(_CLOSING / 2, 1.5 * observation.theta))
-        displacement = planned + np.where(shakes, damage.step, 0.0) * filters.dither(steps)
-        sent = within_reach(displacement, observation, layout)
+        displacement = planned + np.where(shakes, damage.step, 0.0) * messaging.dither(steps)
+        sent = clip_to_reach(displacement, observation, layout)
         moved = (sent / step_length(observation)).astype(np.float32) * observation.theta
-        last = own.remembered(observation, displacement, layout)
-        fresh = State(steps + 1, last, met, filters_now, damping, doubt, broke, planes, here + moved)
+        last = own.remember(observation, displacement, layout)
+        fresh = ObserverRelayMemory(steps + 1, last, contacts, filters, damping, doubt, broke, planes, here + moved)
         return per_step(displacement, observation), self.pack(fresh)
 
-    def _doubt(self, own: Own, was: FloatArray, steps: FloatArray) -> FloatArray:
-        """The recent error of predictions of the own gradient, as a displacement, shape (R, 1)."""
+    def _doubt(self, own: OwnSide, was: FloatArray, steps: FloatArray) -> FloatArray:
+        """Return the recent error of predictions of the own gradient, as a displacement, shape (R, 1)."""
         block = own_block(own.model.rows, own_places(own.blocks, own.model, self.layout.dimension))
         curvature = np.abs(block.diagonal(axis1=1, axis2=2)).min(axis=1, keepdims=True)
         error = np.where(curvature > 0, own.error / np.where(curvature > 0, curvature, 1.0), 0.0)
@@ -189,7 +200,7 @@ class ObserverRelay(RecordLaw):
 
 
 def _mean(weights: FloatArray, values: FloatArray) -> FloatArray:
-    """Σ_j w_j v_j / Σ_j w_j, (R, D, n) to (R, n), and 0 where that is 0/0."""
+    """Return Σ_j w_j v_j / Σ_j w_j, (R, D, n) to (R, n), and 0 where that is 0/0."""
     total = fold(np.add, weights, axis=1)
     return fold(np.add, weights * values, axis=1) / np.where(total > 0, total, 1.0)
 
@@ -197,7 +208,7 @@ def _mean(weights: FloatArray, values: FloatArray) -> FloatArray:
 def _trust(
     meant: FloatArray, variance: FloatArray, floor: FloatArray, is_own: BoolArray, owners: BoolArray
 ) -> FloatArray:
-    """Weights of neighbours by their errors about the own strategy, 1 for what they own, shape (R, D, n).
+    """Return weights of neighbours by their errors about the own strategy, 1 for what they own, shape (R, D, n).
 
     The square of the share of noise, of variance ``floor`` (R, 1, 1), in noise and error together: who is wrong about
     the own strategy by more than noise may be wrong about others, and a liar is wrong by far. ``meant`` (R, D, n) are

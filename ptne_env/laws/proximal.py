@@ -6,26 +6,27 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ptne_env.laws.base import consensus, per_step
-from ptne_env.laws.best_response import (
-    LARGEST_ROW,
+from ptne_env.laws.base import RecordLaw, consensus, per_step
+from ptne_env.laws.building_blocks.own_gradient import (
+    RESOLUTION,
     UNLIMITED,
+    Model,
+    identify,
+    initial_model,
     largest,
     own_block,
     own_curvatures,
     own_entries,
     own_places,
-    shortened,
+    shorten,
     trust_radius,
     with_own,
 )
-from ptne_env.laws.identification import RESOLUTION, Model, blank, identify
-from ptne_env.laws.memory import RecordLaw
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 
 
-class LastStep(NamedTuple):
+class ProximalMemory(NamedTuple):
     """What R players remember of the step before."""
 
     model: Model  # the identified rows of dF
@@ -42,12 +43,13 @@ class ProximalBestResponse(RecordLaw):
     proximal-point algorithm for Nash equilibrium seeking with linear convergence rate", arXiv:1910.11613, 2019.
 
     A player sees its own gradient only, so the argmin is that of the quadratic model with the identified own row G of
-    dF, :func:`~ptne_env.laws.identification.identify`: (2 I + α G_ii) Δx_i = h Σ_j a_ij (x^j_i − x^i_i) −
+    dF, :func:`~ptne_env.laws.building_blocks.own_gradient.identify`: (2 I + α G_ii) Δx_i = h Σ_j a_ij (x^j_i − x^i_i) −
     α (∂J_i/∂x_i + G_{i,−i} Δx_{−i}). It is exact for affine F as soon as the row is known. Until then three standard
     deviations are added to each curvature of G_ii, and a curvature below 0 counts as 0. In games with more than 32
-    components the own block alone is identified, and G_{i,−i} counts as 0. After the first step, no own displacement is
-    longer than :func:`~ptne_env.laws.best_response.trust_radius`, because F need not be affine. In a box the
-    environment projects the step, which is the argmin in the box where n_i = 1.
+    components the own block alone is identified, and G_{i,−i} counts as 0. Because F need not be affine, no own
+    displacement after the first step is longer than
+    :func:`~ptne_env.laws.building_blocks.own_gradient.trust_radius`. In a box the environment projects the step, which
+    is the argmin in the box where n_i = 1.
 
     Args:
         layout: of the environment, interface ``physical``.
@@ -68,9 +70,8 @@ class ProximalBestResponse(RecordLaw):
         super().__init__(layout)
         self.step, self.mixing = require_positive("step", step), require_positive("mixing", mixing)
         self.spread = require_positive("spread", spread)
-        outputs, n, none = max(layout.action_dims), layout.dimension, np.zeros((1, 1))
-        model = blank(1, outputs, n if n <= LARGEST_ROW else outputs, self.spread)
-        self.start = LastStep(model, np.zeros((1, n)), np.zeros((1, outputs)), none, none)
+        model, n, none = initial_model(layout, self.spread), layout.dimension, np.zeros((1, 1))
+        self.start = ProximalMemory(model, np.zeros((1, n)), np.zeros((1, max(layout.action_dims))), none, none)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         layout, was = self.layout, self.unpack(memory)
@@ -97,6 +98,6 @@ class ProximalBestResponse(RecordLaw):
         wanted = own_entries(pull, blocks) - self.step * (gradient + foreseen)
         along = np.einsum("rba,rb->ra", vectors, wanted) / (2 + self.step * curvature)
         longest = np.where(was.started > 0, radius, UNLIMITED)
-        displacement = with_own(drift, shortened(np.einsum("rab,rb->ra", vectors, along), longest), blocks)
-        fresh = LastStep(model, estimate, gradient, radius, np.ones_like(radius))
+        displacement = with_own(drift, shorten(np.einsum("rab,rb->ra", vectors, along), longest), blocks)
+        fresh = ProximalMemory(model, estimate, gradient, radius, np.ones_like(radius))
         return per_step(displacement, observation), self.pack(fresh)

@@ -6,8 +6,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ptne_env.laws.base import per_step
-from ptne_env.laws.memory import RecordLaw
+from ptne_env.laws.base import RecordLaw, per_step
 from ptne_env.laws.observer_relay import ObserverRelay
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray
@@ -31,7 +30,7 @@ _WAIT, _ALL = 4, 12
 """Steps after which the neighbours of a player have given up, too, and steps after the first rounds for all of them."""
 
 
-class State(NamedTuple):
+class CoderMemory(NamedTuple):
     """What R players remember from step to step."""
 
     steps: FloatArray  # number of steps so far, shape (R, 1)
@@ -78,7 +77,7 @@ class ResidualCoder(RecordLaw):
         talks = first * _FEWEST * self.begin <= 1 and 2 * dims <= layout.dimension
         none, estimates = np.zeros((1, 1)), np.zeros((1, layout.dimension))
         messages = np.zeros((1, layout.slots, layout.dimension))
-        self.start = State(
+        self.start = CoderMemory(
             steps=none,
             alone=none + (np.inf if talks else 0.0),
             error=none - 1,
@@ -101,7 +100,7 @@ class ResidualCoder(RecordLaw):
             live=np.where(opens, arrives, arrives * was.live),
             plain=np.where(opens[:, :, None], content, was.plain),
         )
-        told, error, understands = self._told(observation.player, now, rounds, content)
+        told, error, understands = self._decode(observation.player, now, rounds, content)
         ends, error = talks & ~opens, np.maximum(was.error, error)
         is_exact = (error >= 0) & (error < _EXACT * self.most)
         missed = np.abs(estimate - was.sent).max(axis=1, keepdims=True) > _MISSED * self.most
@@ -123,14 +122,14 @@ class ResidualCoder(RecordLaw):
         )
         meant = now.meant + np.where(moves, relayed * observation.theta, 0.0)
         codes = talks & opens & (self.end - observation.transformed > 1.5 * observation.theta)
-        sent = np.where(codes, self._code(observation.player, now, rounds), meant)
+        sent = np.where(codes, self._encode(observation.player, now, rounds), meant)
         inputs = np.where(follows, relayed, per_step(sent - estimate, observation))
         relay = np.where(follows | moves, relay, was.relay)
         fresh = now._replace(steps=was.steps + 1, alone=alone, sent=sent, meant=meant, relay=relay)
         return inputs, self.pack(fresh)
 
     def _places(self, players: IntArray, rounds: FloatArray, is_fine: BoolArray) -> IntArray:
-        """The component that each place of players' code tells, -1 at own places; (...) and (..., 1) to (..., n)."""
+        """Return the component that each place of code tells, -1 at own places; (...) and (..., 1) to (..., n)."""
         own, dims = self.layout.own_mask[players], np.array(self.layout.action_dims)[players][..., None]
         others = np.maximum((~own).sum(axis=-1, keepdims=True), 1)
         turns = np.where(is_fine, rounds, rounds // _LEVELS).astype(np.int64)
@@ -138,31 +137,31 @@ class ResidualCoder(RecordLaw):
         told = np.where(turn < dims, np.argmax(own, axis=-1)[..., None] + turn, np.arange(self.layout.dimension))
         return np.where(own, -1, told)
 
-    def _is_fine(self, now: State) -> BoolArray:
-        """Whether errors allow the larger amplification, shape (R, 1)."""
+    def _is_fine(self, now: CoderMemory) -> BoolArray:
+        """Return whether errors allow the larger amplification, shape (R, 1)."""
         return (now.error <= _SURE * self.span / _FINE) & ((now.error >= 0) | (now.steps >= self.begin))
 
     def _scale(self, rounds: FloatArray, is_fine: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The sign of code at each place, its amplification, and the width of what it tells."""
+        """Return the sign of code at each place, its amplification, and the width of what it tells."""
         gain = np.where(is_fine, _FINE, _COARSE ** (1 + rounds % _LEVELS))
         return 1.0 - 2.0 * ((np.arange(self.layout.dimension) + rounds + is_fine) % 2), gain, self.span / gain
 
-    def _code(self, player: IntArray, now: State, rounds: FloatArray) -> FloatArray:
-        """The estimates that tell z in code, shape (R, n)."""
+    def _encode(self, player: IntArray, now: CoderMemory, rounds: FloatArray) -> FloatArray:
+        """Return the estimates that tell z in code, shape (R, n)."""
         is_fine = self._is_fine(now)
         places, (sign, gain, width) = self._places(player, rounds, is_fine), self._scale(rounds, is_fine)
         told = np.take_along_axis(now.meant, np.maximum(places, 0), axis=1)
-        return np.where(places >= 0, sign * (self.centre + gain * _folded(told, width)), now.meant)
+        return np.where(places >= 0, sign * (self.centre + gain * _fold(told, width)), now.meant)
 
-    def _told(
-        self, player: IntArray, now: State, rounds: FloatArray, code: FloatArray
+    def _decode(
+        self, player: IntArray, now: CoderMemory, rounds: FloatArray, code: FloatArray
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """What a round told (R, D, n), the largest error of plain messages (R, 1), and whether all was code (R, 1)."""
-        slots, each = np.array(self.layout.neighbours)[player], rounds[:, :, None]
+        """Return what a round told (R, D, n), the largest error of plain messages, and whether all was code (R, 1)."""
+        slots, rounds = np.array(self.layout.neighbours)[player], rounds[:, :, None]
         least = np.where(self.layout.own_mask[slots], -np.inf, _GAP * self.most / 2)
-        signed = self._scale(each, np.zeros_like(each, dtype=np.bool_))[0] * code
+        signed = self._scale(rounds, np.zeros_like(rounds, dtype=np.bool_))[0] * code
         is_coarse, is_fine = ((sign * signed > least).min(axis=2, keepdims=True) for sign in (1, -1))
-        places, (sign, gain, width) = self._places(slots, each, is_fine), self._scale(each, is_fine)
+        places, (sign, gain, width) = self._places(slots, rounds, is_fine), self._scale(rounds, is_fine)
         widest = self.span / np.where(is_fine, _FINE, _COARSE)
         place = np.full((*places.shape[:2], places.shape[2] + 1), -1)  # one more, into which own places fall
         np.put_along_axis(place, places % place.shape[2], np.arange(places.shape[2])[None, None], axis=2)
@@ -170,7 +169,7 @@ class ResidualCoder(RecordLaw):
         residual = np.take_along_axis((sign * code - self.centre) / gain, np.maximum(place, 0), axis=2)
         is_near = np.abs(now.heard - now.plain) <= _FITS * widest
         base = np.where(is_near & (width < widest), now.heard, now.plain)
-        heard = base + _folded(residual - base, width)
+        heard = base + _fold(residual - base, width)
         is_still = np.abs(heard - now.heard) <= 2 * now.error[:, :, None] / gain
         heard = np.where(is_still, now.heard, heard)  # what moves no more than errors do rests
         error, is_first = np.abs(heard - now.plain), width == widest
@@ -182,6 +181,6 @@ class ResidualCoder(RecordLaw):
         return np.where(knows, known, now.plain), largest, ~fails.any(axis=(1, 2))[:, None]
 
 
-def _folded(values: FloatArray, width: FloatArray) -> FloatArray:
-    """The values less the nearest multiple of a width, within ±width/2."""
+def _fold(values: FloatArray, width: FloatArray) -> FloatArray:
+    """Return the values less the nearest multiple of a width, within ±width/2."""
     return values - width * np.round(values / width)

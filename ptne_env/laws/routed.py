@@ -6,19 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptne_env.laws.base import per_step
-from ptne_env.laws.best_response import largest, within_reach
-from ptne_env.laws.contacts import Contacts, contacts, copies, no_contacts
-from ptne_env.laws.identification import RESOLUTION
-from ptne_env.laws.memory import RecordLaw
+from ptne_env.laws.base import RecordLaw, per_step
+from ptne_env.laws.building_blocks.messages import Contacts, find_sources, initial_contacts, mean_difference
+from ptne_env.laws.building_blocks.own_gradient import RESOLUTION, clip_to_reach, largest
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 
 _VISIBLE = 8.0
-"""Resolutions of observations that a change of the gradient must exceed to be seen."""
+"""A change of the gradient is visible beyond this multiple of the resolution of observations."""
 
 
-class Routes(NamedTuple):
+class RoutedMemory(NamedTuple):
     """What R players remember."""
 
     contacts: Contacts  # with their neighbours
@@ -32,10 +30,11 @@ class Routes(NamedTuple):
 class RoutedUnknown(RecordLaw):
     """x^i_c ← mean of x^j_c over the live sources j of c, else x^i_c, and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i).
 
-    A player has no source of its own components; own links show the others' sources,
-    :func:`~ptne_env.laws.contacts.contacts`. On a fixed graph where the sources are the neighbours that are
-    nearer to the owner of c, x^i_c is the owner's strategy d_ic steps ago, d_ic being the hop count: gradient play with
-    delays, x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k − d_i1), …, x_N(k − d_iN)).
+    A player has no source of its own components. For those of others,
+    :func:`~ptne_env.laws.building_blocks.messages.find_sources` finds the sources from the own links alone. On a fixed
+    graph where the sources are the neighbours that are nearer to the owner of c, x^i_c is the owner's strategy d_ic
+    steps ago, d_ic being the hop count. That is gradient play with delays,
+    x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k − d_i1), …, x_N(k − d_iN)).
 
     The step is the smaller one of η and 1/L, where L is the largest ‖Δ∂J_i/∂x_i‖/‖Δx_i‖ so far, of steps in which the
     own strategy moved more than the estimates of others: gradient steps above 2/L go too far.
@@ -50,15 +49,15 @@ class RoutedUnknown(RecordLaw):
 
     def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
         super().__init__(layout)
-        each, none = np.zeros((1, layout.dimension)), np.zeros((1, 1))
-        self.start = Routes(no_contacts(layout), each, none, each, none, none)
+        components, none = np.zeros((1, layout.dimension)), np.zeros((1, 1))
+        self.start = RoutedMemory(initial_contacts(layout), components, none, components, none, none)
         self.step = require_positive("step", step)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         was, player = self.unpack(memory), observation.player
         leaders, is_own = self.layout.neighbour_components[player], self.layout.own_mask[player]
-        sources, fresh = contacts(observation, was.contacts, was.steps > 0, was.drift, leaders)
-        drift = copies(observation, sources & ~is_own[:, None])
+        sources, contacts = find_sources(observation, was.contacts, was.steps > 0, was.drift, leaders)
+        drift = mean_difference(observation, sources & ~is_own[:, None])
         gradient = observation.gradient * observation.unit
         change = largest(gradient - was.gradient)
         change = change - _VISIBLE * RESOLUTION * (largest(gradient) + largest(was.gradient))
@@ -66,6 +65,6 @@ class RoutedUnknown(RecordLaw):
         curvature = np.maximum(was.curvature, curvature)
         own = observation.gradient / np.maximum(1 / self.step, curvature)
         moved = np.where(largest(own) > largest(drift), largest(own), 0.0) * observation.unit
-        asked = within_reach(drift, observation, self.layout)
-        routes = Routes(fresh, asked, was.steps + 1, gradient, moved, curvature)
-        return per_step(drift - own, observation), self.pack(routes)
+        asked = clip_to_reach(drift, observation, self.layout)
+        fresh = RoutedMemory(contacts, asked, was.steps + 1, gradient, moved, curvature)
+        return per_step(drift - own, observation), self.pack(fresh)

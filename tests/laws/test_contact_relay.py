@@ -6,8 +6,7 @@ from affine_games import loop_start, run
 from worlds import BLOCKS, BLOCKS_SWITCHING, channel_part, world_and_encoder
 
 from ptne_env import evaluate, get_scenario, laws
-from ptne_env.laws.best_response import best_response
-from ptne_env.laws.identification import Model
+from ptne_env.laws.building_blocks.own_gradient import Model, best_response
 
 RANDOM = get_scenario("random-energy")
 

@@ -6,7 +6,7 @@ from affine_games import SOAK, affine_scenario, random_affine, run
 from worlds import begin, channel_part, fixed_part, world_and_encoder
 
 from ptne_env import FactorySpec, evaluate, get_scenario, laws
-from ptne_env.laws.contacts import Contacts, contacts
+from ptne_env.laws.building_blocks.messages import Contacts, find_sources
 
 
 class Sight:
@@ -27,7 +27,7 @@ def known(slots=1, live=0.0, moved=0.0, seen=0.0, source=0.0, votes=0.0, news=1.
 def judge(sight, was, noise=0.0):
     shape = sight.relative_estimates.shape
     no_owner, has_begun = np.zeros(shape, dtype=bool), np.ones((1, 1), dtype=bool)
-    return contacts(sight, was, has_begun, np.zeros((1, 1)), no_owner, np.full((1, 1, 1), noise))
+    return find_sources(sight, was, has_begun, np.zeros((1, 1)), no_owner, np.full((1, 1, 1), noise))
 
 
 def one_contact(mine, theirs, votes=0.0, seen=0.0, news=1.0, noise=0.0, lasts=False):

@@ -3,9 +3,15 @@
 import numpy as np
 import pytest
 
-from ptne_env.laws import filters
-from ptne_env.laws.contacts import Messages
-from ptne_env.laws.filters import RATES, Damage, Filters
+from ptne_env.laws.building_blocks.messages import (
+    RATES,
+    Damage,
+    Filters,
+    NeighbourMessages,
+    dither,
+    filter_messages,
+    measure_damage,
+)
 
 SCALE, STD = 10.0, 0.05
 
@@ -25,11 +31,11 @@ def watch(content):
     was = Filters(links, each, each, none, none, none, none + np.inf, none, means, means + 1e6)
     found, mean = [], each
     for k, message in enumerate(content[:, None]):
-        messages = Messages(links == 0, np.full(links.shape, k > 0), message, np.abs(message - was.last))
-        fresh, damage = filters.measured(messages, was, numbers(k), each > 0, numbers(SCALE))
+        messages = NeighbourMessages(links == 0, np.full(links.shape, k > 0), message, np.abs(message - was.last))
+        fresh, damage = measure_damage(messages, was, numbers(k), each > 0, numbers(SCALE))
         mean = message
         if damage.deviation.item() > 0:
-            fresh, (mean, _) = filters.filtered(messages, was, fresh, damage)
+            fresh, (mean, _) = filter_messages(messages, was, fresh, damage)
         was = fresh
         found.append((damage.noise.item(), damage.step.item()))
     return np.array(found), mean[0]
@@ -92,7 +98,7 @@ def test_single_outliers_move_no_mean():
 
 def test_the_mean_of_rounded_messages_of_a_dithered_strategy_is_the_strategy():
     value, width, steps = 3.0 + 0.1 * np.linspace(0.05, 0.95, 7), 0.1, 300
-    shake = np.array([filters.dither(numbers(k)).item() for k in range(steps)])
+    shake = np.array([dither(numbers(k)).item() for k in range(steps)])
     assert np.abs(shake).max() <= 0.5
     content = np.round((value + width * shake[:, None, None]) / width) * width
     _, means = watch(content)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ptne_env.laws.identification import Model, blank, identify
+from ptne_env.laws.building_blocks.own_gradient import Model, identify
 
 ROWS, OUTPUTS, REGRESSORS, SPREAD, VARIANCE = 4, 2, 5, 3.0, 0.01
 
@@ -11,6 +11,11 @@ ROWS, OUTPUTS, REGRESSORS, SPREAD, VARIANCE = 4, 2, 5, 3.0, 0.01
 @pytest.fixture
 def generator():
     return np.random.default_rng(0)
+
+
+def unknown_rows(spread=SPREAD):
+    covariance = np.broadcast_to(spread**2 * np.eye(REGRESSORS), (ROWS, REGRESSORS, REGRESSORS))
+    return Model(np.zeros((ROWS, OUTPUTS, REGRESSORS)), covariance)
 
 
 def feed(model, displacements, changes):
@@ -31,7 +36,7 @@ def draw(generator, steps):
 
 def test_model_is_the_regularised_least_squares_fit(generator):
     _, displacements, changes = draw(generator, 12)
-    model, failures = feed(blank(ROWS, OUTPUTS, REGRESSORS, SPREAD), displacements, changes)
+    model, failures = feed(unknown_rows(), displacements, changes)
     assert not failures.any()
     for row in range(ROWS):
         information, target = np.eye(REGRESSORS) / SPREAD**2, np.zeros((OUTPUTS, REGRESSORS))
@@ -44,7 +49,7 @@ def test_model_is_the_regularised_least_squares_fit(generator):
 
 def test_changed_rows_are_learned_in_the_direction_of_the_displacement_alone(generator):
     rows, displacements, changes = draw(generator, 30)
-    before, _ = feed(blank(ROWS, OUTPUTS, REGRESSORS, SPREAD), displacements, changes)
+    before, _ = feed(unknown_rows(), displacements, changes)
     direction = generator.normal(size=(ROWS, REGRESSORS))
     change = np.einsum("rmq,rq->rm", rows, direction) + 50.0
     after, error, failed = identify(before, direction, change, np.full((ROWS, 1), VARIANCE))
@@ -58,7 +63,7 @@ def test_changed_rows_are_learned_in_the_direction_of_the_displacement_alone(gen
 
 def test_without_a_displacement_nothing_is_learned_or_forgotten(generator):
     _, displacements, changes = draw(generator, 8)
-    before, _ = feed(blank(ROWS, OUTPUTS, REGRESSORS, SPREAD), displacements, changes)
+    before, _ = feed(unknown_rows(), displacements, changes)
     still = np.zeros((ROWS, REGRESSORS))
     after, _, failed = identify(before, still, np.full((ROWS, OUTPUTS), 9.0), np.full((ROWS, 1), VARIANCE))
     assert not failed.any()
@@ -67,7 +72,7 @@ def test_without_a_displacement_nothing_is_learned_or_forgotten(generator):
 
 
 def test_covariance_stays_positive_over_a_long_run(generator):
-    model = blank(ROWS, OUTPUTS, REGRESSORS, 10.0)
+    model = unknown_rows(10.0)
     for step in range(400):
         displacement = generator.normal(size=(ROWS, REGRESSORS)) * 0.9**step
         change = 3 * displacement[:, :OUTPUTS]

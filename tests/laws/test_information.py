@@ -9,26 +9,13 @@ from affine_games import SOAK
 from worlds import energy_scenario, fixed_part, make_env, play, world_and_encoder
 
 from ptne_env import FactorySpec, laws
+from ptne_env.shared.parts import PARTS, resolve
 from ptne_env.world import dynamics
 
-RELATIVE = {
-    "static": laws.Static,
-    "corollary-one": laws.CorollaryOne,
-    "adaptive": laws.Adaptive,
-    "grounded": laws.Grounded,
-    "adaptive-grounded": laws.AdaptiveGrounded,
-    "projected-gradient": laws.ProjectedGradient,
-    "routed-unknown": laws.RoutedUnknown,
-    "zero-input": laws.ZeroInput,
-}
+LAWS = {part: law for part in PARTS if part.startswith("law:") and issubclass(law := resolve(part), laws.Law)}
+del LAWS["law:oracle"]  # the only one that may read what its player cannot know
+RELATIVE = [part for part, law in LAWS.items() if "own_estimate" not in law.needs]
 """Laws that need no absolute strategies, so that they also act through the interface ``scaled``."""
-ABSOLUTE = {
-    "proximal-best-response": laws.ProximalBestResponse,
-    "contact-relay": laws.ContactRelay,
-    "observer-relay": laws.ObserverRelay,
-    "residual-coder": laws.ResidualCoder,
-}
-LAWS = RELATIVE | ABSOLUTE
 CASES = [*((law, "physical") for law in LAWS), *((law, "scaled") for law in RELATIVE)]
 STEPS = 150 if SOAK else 50
 

@@ -6,7 +6,8 @@ from affine_games import affine_scenario, loop_start, random_affine, run
 from worlds import BLOCKS, FAULTY, begin, channel_part, fixed_part, world_and_encoder
 
 from ptne_env import FactorySpec, evaluate, get_scenario, laws
-from ptne_env.laws import contact_relay, observer_relay
+from ptne_env.laws import observer_relay
+from ptne_env.laws.building_blocks import own_gradient
 from ptne_env.suites import get_suite
 
 RANDOM = get_scenario("random-energy")
@@ -117,7 +118,7 @@ def test_estimates_of_noisy_messages_come_to_rest_near_the_end_when_means_are_st
 )
 def test_own_blocks_are_enough_in_large_games(scenario, law, monkeypatch):
     whole = law(world_and_encoder(scenario)[1].layout).initial_memory(1).size
-    for module in (contact_relay, observer_relay):
+    for module in (own_gradient, observer_relay):
         monkeypatch.setattr(module, "LARGEST_ROW", 1)
     assert law(world_and_encoder(scenario)[1].layout).initial_memory(1).size < whole
     states, world = episode(scenario, law)

@@ -8,7 +8,7 @@ from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
 from worlds import channel_part, fixed_part
 
 from ptne_env import Interface, evaluate, get_scenario, laws
-from ptne_env.laws import proximal
+from ptne_env.laws.building_blocks import own_gradient
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.world.world import World
 
@@ -62,7 +62,7 @@ def test_players_with_several_components_solve_for_their_block():
 
 
 def test_large_games_identify_the_own_block_alone(monkeypatch):
-    monkeypatch.setattr(proximal, "LARGEST_ROW", 1)
+    monkeypatch.setattr(own_gradient, "LARGEST_ROW", 1)
     world = World(get_scenario("energy", start="random"))
     law = laws.ProximalBestResponse(make_encoder(world, Interface("physical")).layout)
     assert law.initial_memory(2).shape == (2, 1 + 1 + 5 + 1 + 1 + 1)

@@ -5,12 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ptne_env.laws import damping, reactions
-from ptne_env.laws.best_response import UNLIMITED
-from ptne_env.laws.contact_relay import Own
-from ptne_env.laws.contacts import Messages
-from ptne_env.laws.damping import Damping
-from ptne_env.laws.identification import Model
+from ptne_env.laws.building_blocks import reactions
+from ptne_env.laws.building_blocks.messages import NeighbourMessages
+from ptne_env.laws.building_blocks.own_gradient import UNLIMITED, Model, OwnSide
+from ptne_env.laws.building_blocks.reactions import Damping
 
 SCALE = 10.0
 
@@ -22,11 +20,10 @@ def numbers(value):
 def own_side(row, gradient=1.0):
     """The own side of a player that owns the first of the components of ``row``."""
     rows, flags = np.array(row, dtype=float)[None, None], np.zeros((1, 1), dtype=bool)
-    return Own(
+    return OwnSide(
         model=Model(rows, np.zeros((1, len(row), len(row)))),
         gradient=numbers(gradient),
         blocks=np.zeros((1, 1), dtype=np.int64),
-        moved=np.zeros((1, len(row))),
         held=flags,
         radius=numbers(UNLIMITED),
         error=numbers(0),
@@ -50,7 +47,7 @@ def after(responses, is_loose=True, noise=0.0, doubt=0.0, turns=True):
     for step, size in enumerate(responses):
         response = size * (-1) ** step if turns else size
         loose, errors = np.full((1, 1), is_loose), (numbers(noise), numbers(doubt), numbers(SCALE))
-        known = damping.damped(known, loose, numbers(response), numbers(0), numbers(step), *errors)
+        known = reactions.update_damping(known, loose, numbers(response), numbers(0), numbers(step), *errors)
         found.append(known.factor.item())
     return np.array(found)
 
@@ -95,14 +92,14 @@ def test_responses_that_something_else_explains_are_not_damped(explained, respon
     ("row", "steps", "loose"), [([1.0, 0.9], 50, False), ([1.0, 1.1], 50, True), ([1.0, 1.1], 1, False)]
 )
 def test_rows_that_are_not_diagonally_dominant_are_loose(row, steps, loose):
-    assert damping.is_loose(own_side(row), numbers(steps), 2).item() is loose
+    assert reactions.is_loose(own_side(row), numbers(steps), 2).item() is loose
 
 
 def test_the_response_is_damped_and_answers_the_expected_gradient():
     own, drift = own_side([2.0, 0.0], gradient=4.0), np.zeros((1, 2))
-    assert damping.tempered(own, undamped(), numbers(5), drift).item() == pytest.approx(-2.0)
-    assert damping.tempered(own, undamped(0.5, -2), numbers(5), drift).item() == pytest.approx(-0.75)
-    turns = damping.tempered(own, undamped(0.5, 2), numbers(5), drift)  # the last two changes do not agree
+    assert reactions.damp_response(own, undamped(), numbers(5), drift).item() == pytest.approx(-2.0)
+    assert reactions.damp_response(own, undamped(0.5, -2), numbers(5), drift).item() == pytest.approx(-0.75)
+    turns = reactions.damp_response(own, undamped(0.5, 2), numbers(5), drift)  # the last two changes do not agree
     assert turns.item() == pytest.approx(-1.0)
 
 
@@ -136,14 +133,14 @@ def respond(player, estimate):
 
 def planes_after(steps, rest=2):
     """What player 0 knows after it has seen its neighbours at rest at points of their reaction planes."""
-    here, known = np.full((1, TOTAL), 10.0), reactions.no_planes(LAYOUT)
+    here, known = np.full((1, TOTAL), 10.0), reactions.initial_planes(LAYOUT)
     live, before, count = np.ones((1, 2), dtype=bool), np.zeros((1, 2, TOTAL)), 3
     for _ in range(steps):
         content = np.stack([respond(player, GENERATOR.normal(size=TOTAL) * 5) for player in (1, 2)])[None]
         for _ in range(rest):
             sight = SimpleNamespace(player=PLAYER_0, relative_estimates=content - here[:, None])
-            messages = Messages(live, live & (count > 3), content, np.abs(content - before))
-            known = reactions.learned_planes(sight, messages, known, numbers(count), here, LAYOUT)
+            messages = NeighbourMessages(live, live & (count > 3), content, np.abs(content - before))
+            known = reactions.learn_planes(sight, messages, known, numbers(count), here, LAYOUT)
             before, count = content, count + 1
     return known
 
@@ -156,7 +153,7 @@ def solve(known, doubt=0.0):
         gradient=(MATRIX @ here[0] + OFFSET)[None, :2],
         blocks=LAYOUT.own_components[:1],
     )
-    point, is_trusted = reactions.joint_solution(PLAYER_0, known, here, here, own, numbers(doubt), LAYOUT)
+    point, is_trusted = reactions.solve_jointly(PLAYER_0, known, here, here, own, numbers(doubt), LAYOUT)
     return point[0], is_trusted.item()
 
 

@@ -8,24 +8,12 @@ from worlds import BLOCKS, world_and_encoder
 
 from ptne_env import Policy, laws
 from ptne_env.perception.policy import PolicyError
+from ptne_env.shared.parts import PARTS, resolve
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
 
-LAWS = [
-    laws.Static,
-    laws.Adaptive,
-    laws.CorollaryOne,
-    laws.Grounded,
-    laws.AdaptiveGrounded,
-    laws.ZeroInput,
-    laws.Oracle,
-    laws.ProjectedGradient,
-    laws.RoutedUnknown,
-    laws.ProximalBestResponse,
-    laws.ContactRelay,
-    laws.ObserverRelay,
-    laws.ResidualCoder,
-]
+POLICIES = [resolve(part) for part in PARTS if part.startswith("law:")]
+LAWS = [policy for policy in POLICIES if issubclass(policy, laws.Law)]
 
 
 def observe(law, scenario="energy", batch=3):
@@ -36,7 +24,7 @@ def observe(law, scenario="energy", batch=3):
     return encoder.layout, encoder.observe(state).reshape(-1, encoder.layout.size)
 
 
-@pytest.mark.parametrize("law", [*LAWS, laws.RandomPolicy])
+@pytest.mark.parametrize("law", POLICIES)
 def test_laws_have_the_signature_of_stable_baselines3(law):
     parameters = inspect.signature(law.predict).parameters
     assert list(parameters) == ["self", "observation", "state", "episode_start", "deterministic"]
