@@ -187,7 +187,7 @@ def test_the_table_of_frameworks_has_the_versions_that_make_ecosystem_installs()
 
 
 def test_reward_and_info_tables_are_complete():
-    assert [row[0].split("`")[1] for row in table(ENVIRONMENT, "Term")] == list(TERMS)
+    assert table(ENVIRONMENT, "Term") == [[f"`{name}`", term.meaning] for name, term in TERMS.items()]
     rows = {row[0].strip("`"): row[1] for row in table(ENVIRONMENT, "Key of an agent's info")}
     of_terms = rows.pop("reward_<term>")
     documented = rows | {f"reward_{term}": of_terms for term in TERMS}

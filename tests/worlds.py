@@ -15,6 +15,8 @@ def quantity(world, state, name):
     """A field of a state, or a quantity that a function of ``dynamics`` computes from it, by name."""
     if name in State._fields:
         return getattr(state, name)
+    if name == "strategies":
+        return dynamics.strategies(state)
     if name == "messages":
         return dynamics.sent_messages(world, state.estimates) if state.received is None else state.received.messages
     return getattr(dynamics, name)(world, state)

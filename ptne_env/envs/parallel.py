@@ -141,7 +141,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     @property
     def strategies(self) -> FloatArray:
         """The real strategies x now, shape (n,), float64."""
-        return dynamics.strategies(self.world, self._simulation.current)[:, 0]
+        return dynamics.strategies(self._simulation.current)[:, 0]
 
     @property
     def estimates(self) -> FloatArray:

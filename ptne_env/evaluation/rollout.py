@@ -18,7 +18,7 @@ from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ptne_env.shared.names import unknown_name
 from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import State
-from ptne_env.world.rewards import REWARD_LIMIT, limited, measured
+from ptne_env.world.rewards import REWARD_LIMIT, limit_distance, measure_distances
 from ptne_env.world.world import World
 
 REGRET_INTERVALS = 20
@@ -53,11 +53,11 @@ class Rollout:
         return self.series[series]
 
 
-def at_instant(world: World, state: State) -> dict[str, FloatArray]:
+def at_instant(state: State) -> dict[str, FloatArray]:
     """The series of every instant: relative distances of strategies and estimates, and the mean digits of players."""
-    players, strategies = measured(state), distances.strategy_distance(dynamics.strategies(world, state), state.game)
+    players, strategies = measure_distances(state), distances.strategy_distance(dynamics.strategies(state), state.game)
     return {
-        "strategy_distance": limited(state, strategies),
+        "strategy_distance": limit_distance(state, strategies),
         "estimate_distance": distances.over_players(players),
         "mean_digits": ordered_sum(distances.digits(players)) / len(players),
     }
@@ -72,11 +72,11 @@ def regret_instants(world: World) -> IntArray:
     return np.unique((world.clock.steps * places**2).round().astype(np.int64))
 
 
-def regret(world: World, state: State) -> dict[str, FloatArray]:
+def regret(state: State) -> dict[str, FloatArray]:
     """The series of the instants of regrets: the sum over players; NaN where the game has no best response."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
-            regrets = np.clip(state.game.regrets(dynamics.strategies(world, state)), 0, REWARD_LIMIT)
+            regrets = np.clip(state.game.regrets(dynamics.strategies(state)), 0, REWARD_LIMIT)
     except NoBestResponseError:
         return {"regret": np.full(dynamics.batch_size(state), np.nan)}
     return {"regret": ordered_sum(np.where(state.diverged, REWARD_LIMIT, regrets))}
@@ -206,9 +206,9 @@ def rollout(
             inputs += teammates.decide(state)
         if watch is not None:
             watch(state, inputs)
-        found = at_instant(world, state)
+        found = at_instant(state)
         if step in observed:
-            found |= regret(world, state)
+            found |= regret(state)
         if inputs is not None and step < clock.steps:
             found |= in_step(world, state, inputs, step)
         for name, values in found.items():

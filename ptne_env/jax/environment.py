@@ -19,11 +19,10 @@ from ptne_env.perception.observation import INPUT_PER_ACTION, SMALLEST_SCALE, In
 from ptne_env.shared import counter_random
 from ptne_env.shared.arrays import require_count
 from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.world import dynamics, rewards
+from ptne_env.world import distances, dynamics
 from ptne_env.world.catalogue import get_scenario
-from ptne_env.world.distances import FLOOR, player_squares
 from ptne_env.world.dynamics import State
-from ptne_env.world.rewards import Reward
+from ptne_env.world.rewards import Reward, measure_distances
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.starts import UniformStart
 from ptne_env.world.world import EpisodeRandomness
@@ -182,27 +181,14 @@ class World:
 
         An episode that diverges in the step is charged for all that remain, and no more afterwards.
         """
-        total = jnp.zeros(after.estimates.shape[1:])
-        remaining = 1 + self.numpy.clock.total_steps - after.step
-        for name, weight in Reward(self.numpy, reward).weights.items():
-            if name == "digits":  # one logarithm in place of two, and no square root
-                total += weight / np.log(100) * jnp.log(_squares(before) / _squares(after))
-                continue
-            if name == "tracking":
-                value = -rewards.measured(after)
-            else:
-                game, strategies = after.game, dynamics.strategies(self._world, after)
-                # The costs of a diverged game may overflow, and would bring NaN into gradients.
-                strategies = jnp.where(after.diverged, game.nash_equilibria, strategies)
-                with self._naming_parts():
-                    value = rewards.minus_loss(name, game, strategies)
-            charge = jnp.where(before.diverged, 0.0, rewards.worst(name, after.game) * remaining)
-            total += weight * jnp.where(after.diverged, charge, value)
-        return total
+        judge = Reward(self._world, reward)
+        with self._naming_parts():
+            judge.reset(before)
+            return judge.total(judge.step(after))
 
     def digits(self, state: State) -> jax.Array:
         """The digits of each episode, −log10 of the relative distance of all its estimates, shape (B,)."""
-        return -jnp.log10(_squares(state).mean(0)) / 2
+        return distances.digits(distances.over_players(measure_distances(state)))
 
     def _drawn_starts(self, pool: int) -> jax.Array | None:
         """Starts from which a reset chooses, (n, N, P); ``None`` where JAX draws them."""
@@ -262,12 +248,6 @@ def require_x64() -> None:
             "the dynamics are float64, and JAX's 64-bit numbers are off: call "
             'jax.config.update("jax_enable_x64", True) first, or set the variable JAX_ENABLE_X64=1'
         )
-
-
-def _squares(state: State) -> jax.Array:
-    """The square of :func:`ptne_env.world.rewards.measured`, at least that of the floor, shape (N, B)."""
-    squares = player_squares(state.estimates, state.game) / state.game.equilibrium_scale**2
-    return jnp.maximum(jnp.where(state.diverged, dynamics.distance_limit(state.game) ** 2, squares), FLOOR**2)
 
 
 def _scale(differences: jax.Array) -> jax.Array:

@@ -243,9 +243,9 @@ def is_over(world: World, state: State) -> BoolArray:
     return finished | state.diverged if state.any_diverged else finished
 
 
-def strategies(world: World, state: State) -> FloatArray:
+def strategies(state: State) -> FloatArray:
     """The real strategies x, shape (n, B)."""
-    return _rows(state.estimates).take(world.strategy_rows, axis=0)
+    return _own(state.game, state.estimates)
 
 
 def active_mode(world: World, state: State) -> IntArray:

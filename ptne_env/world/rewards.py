@@ -1,16 +1,6 @@
-"""Reward terms by name; the reward is their weighted sum.
+"""The reward: a weighted sum of the terms in :data:`TERMS`, the one table that numpy and JAX read.
 
-========== =====================================================================================================
-term       value for player i at step k
-========== =====================================================================================================
-digits     log10 d^i_k − log10 d^i_{k+1} with d^i = ‖x^i − x*‖/‖x*‖ floored at 1e-12; the return is digits gained
-tracking   −d^i_{k+1}
-payoff     −J_i at the real strategies after the step
-regret     −(J_i(x) − min over y of J_i(y, x_{-i})) after the step; over players it sums to minus the Nikaido–Isoda
-           regret. Only for games whose best response exists everywhere.
-========== =====================================================================================================
-
-Rewards use x*, which no observation shows: a privilege of training.
+Terms use x*, which no observation shows: a privilege of training.
 
 A diverged environment receives, for the step and all remaining steps, the reward at the range limit. No state in range
 has a lower reward, so divergence never pays.
@@ -18,25 +8,78 @@ has a lower reward, so divergence never pays.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from ptne_env.games import Game, NoBestResponseError
-from ptne_env.shared.arrays import FloatArray, array_namespace, require_non_negative
+from ptne_env.shared.arrays import BoolArray, FloatArray, array_namespace, require_non_negative
 from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import RANGE_LIMIT, World
-
-TERMS = ("digits", "tracking", "payoff", "regret")
-"""The names of the reward terms."""
 
 REWARD_LIMIT = RANGE_LIMIT**2
 """Payoff and regret are clipped to ±REWARD_LIMIT, the order of a quadratic cost at the range limit."""
 
 
+class Term(NamedTuple):
+    """A term of the reward, whose functions compute with the library of their arrays.
+
+    Attributes:
+        meaning: what player i receives for a step, one line.
+        value: called with a state and its d^i = ‖x^i − x*‖/‖x*‖, shape (N, B); returns the same shape.
+        worst: called with a game; returns a number, or shape (G,), that ``value`` exceeds in every state in range. It
+            is the value of an environment that has diverged.
+        is_gain: whether players receive the increase of ``value`` in the step instead of ``value`` after it.
+        needs_best_response: whether the term is refused for a game whose best response does not exist everywhere.
+    """
+
+    meaning: str
+    value: Callable[[State, FloatArray], FloatArray]
+    worst: Callable[[Game], FloatArray | float]
+    is_gain: bool = False
+    needs_best_response: bool = False
+
+
+def _minus(loss: Callable[[FloatArray], FloatArray], state: State) -> FloatArray:
+    """Minus the loss at the real strategies, clipped to ±REWARD_LIMIT."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a cost may overflow where no own gradient does
+        reward = -loss(dynamics.strategies(state))
+    result: FloatArray = array_namespace(reward).clip(reward, -REWARD_LIMIT, REWARD_LIMIT)
+    return result
+
+
+TERMS: Mapping[str, Term] = {
+    "digits": Term(
+        "log10 d^i before the step − log10 d^i after it, with d^i floored at 1e-12; the return is the digits gained",
+        value=lambda _, distance: distances.digits(distance),
+        worst=lambda game: distances.digits(dynamics.distance_limit(game)),
+        is_gain=True,
+    ),
+    "tracking": Term(
+        "−d^i after the step",
+        value=lambda _, distance: -distance,
+        worst=lambda game: -dynamics.distance_limit(game),
+    ),
+    "payoff": Term(
+        "−J_i(x) of the real strategies x after the step",
+        value=lambda state, _: _minus(state.game.costs, state),
+        worst=lambda _: -REWARD_LIMIT,
+    ),
+    "regret": Term(
+        "min over y of J_i(y, x_{−i}) − J_i(x) after the step, minus the gain of a best response; an error "
+        "for games that have none, such as Example 2",
+        value=lambda state, _: _minus(state.game.regrets, state),
+        worst=lambda _: -REWARD_LIMIT,
+        needs_best_response=True,
+    ),
+}
+"""The terms of the reward by name. A new term is one entry here and its row in docs/environment.md."""
+
+
 class Reward:
-    """The reward of one world, with a memory of the distances at the previous instant.
+    """The reward of one world, with a memory of the previous instant. It computes with the library of its states.
 
     Args:
         world: the world.
@@ -44,13 +87,12 @@ class Reward:
 
     Attributes:
         weights: by term.
-        is_plain: whether the reward is one term, of weight 1.
         distances: d^i at the present instant, shape (N, B), with the limit where an environment has diverged.
 
     Raises:
         TypeError: for anything but a name and a mapping.
         ValueError: for an unknown term, no term, a weight that is negative (divergence would pay) or not finite, or
-            ``regret`` on a game without best response.
+            a term that needs a best response on a game without one.
     """
 
     def __init__(self, world: World, reward: str | Mapping[str, float] = "digits") -> None:
@@ -59,78 +101,76 @@ class Reward:
                 f"reward is one of {', '.join(TERMS)}, or weights by name such as {{'digits': 1.0, 'payoff': 0.1}}, "
                 f"got {reward!r}; another reward is a wrapper of the environment (docs/adding-parts.md)"
             )
-        given = {reward: 1.0} if isinstance(reward, str) else reward
-        if (unknown := sorted(set(given) - set(TERMS))) or not given:
+        weights = {reward: 1.0} if isinstance(reward, str) else reward
+        if (unknown := sorted(set(weights) - set(TERMS))) or not weights:
             raise ValueError(f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}")
-        self.weights = {name: require_non_negative(f"the weight of reward {name!r}", given[name]) for name in given}
-        self.world = world
-        if "regret" in self.weights and not world.game.has_best_response:
+        self.weights = {name: require_non_negative(f"the weight of reward {name!r}", weights[name]) for name in weights}
+        refused = [name for name in weights if TERMS[name].needs_best_response and not world.game.has_best_response]
+        if refused:
+            others = [name for name, term in TERMS.items() if not term.needs_best_response]
             raise NoBestResponseError(
-                f"reward 'regret' needs a best response, which {type(world.game).__name__} does not have "
-                "everywhere; choose digits, tracking or payoff"
+                f"reward {refused[0]!r} needs a best response, which {type(world.game).__name__} does not have "
+                f"everywhere; choose {', '.join(others[:-1])} or {others[-1]}"
             )
-        (self._first, weight), *others = self.weights.items()
-        self.is_plain = weight == 1 and not others
-        self.distances = self._digits = np.empty((0, 0))
+        self._steps = world.clock.total_steps
+        self._terms = [(name, TERMS[name]) for name in weights]
+        self._gains = [(name, term) for name, term in self._terms if term.is_gain]
+        self._values: dict[str, FloatArray] = {}
+        self._was_diverged: BoolArray = np.zeros(0, dtype=np.bool_)
+        self.distances = np.empty((0, 0))
 
     def reset(self, state: State) -> None:
-        """Measure the distances of ``state``, from which the next step is rewarded."""
-        self.distances = measured(state)
-        self._digits = distances.digits(self.distances)
+        """Measure ``state``, from which the next step is rewarded."""
+        self._values, self._was_diverged = self._measure(state, self._gains), state.diverged
 
     def step(self, state: State) -> dict[str, FloatArray]:
-        """The value of each term for the step that ended in ``state``, each of shape (N, B)."""
-        before, self.distances = self._digits, measured(state)
-        self._digits = distances.digits(self.distances)
-        if self.is_plain:  # a comprehension would take longer
-            terms = {self._first: self._term(self._first, state, before)}
-        else:
-            terms = {name: self._term(name, state, before) for name in self.weights}
+        """The value of each term for the step that ended in ``state``, each of shape (N, B).
+
+        An episode that diverges in the step is charged for all that remain, and no more afterwards.
+        """
+        before, values = self._values, self._measure(state, self._terms)
+        self._values, terms = values, values.copy()
+        for name, _ in self._gains:
+            terms[name] = values[name] - before[name]
         if state.any_diverged:
-            remaining = 1 + self.world.clock.total_steps - state.step
-            for name, value in terms.items():
-                if name != "digits":
-                    terms[name] = np.where(state.diverged, worst(name, state.game) * remaining, value)
+            xp = array_namespace(state.diverged)
+            remaining = xp.where(self._was_diverged, 0, 1 + self._steps - state.step)
+            charged = xp.where(state.diverged, remaining, 1)
+            terms = {name: term if TERMS[name].is_gain else term * charged for name, term in terms.items()}
+        self._was_diverged = state.diverged
         return terms
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """The weighted sum of the terms, shape (N, B)."""
-        if self.is_plain:
-            return terms[self._first]
         (first, weight), *others = self.weights.items()
-        total = weight * terms[first]
+        total = terms[first] if weight == 1 else weight * terms[first]
         for name, weight in others:
-            total += weight * terms[name]
+            total = total + weight * terms[name]
         return total
 
-    def _term(self, name: str, state: State, digits_before: FloatArray) -> FloatArray:
-        if name == "digits":
-            return self._digits - digits_before
-        if name == "tracking":
-            return -self.distances
-        return minus_loss(name, state.game, dynamics.strategies(self.world, state))
+    def _measure(self, state: State, terms: list[tuple[str, Term]]) -> dict[str, FloatArray]:
+        """The values of terms in a state, the worst ones where an environment has diverged."""
+        self.distances, values = measure_distances(state), {}
+        if not state.any_diverged:
+            for name, term in terms:  # a comprehension would take longer
+                values[name] = term.value(state, self.distances)
+            return values
+        xp, game, diverged = array_namespace(state.estimates), state.game, state.diverged
+        # At x*, because the costs of a diverged game may overflow, and would bring NaN into gradients of JAX.
+        safe = state._replace(estimates=xp.where(diverged, game.nash_equilibria[:, None], state.estimates))
+        for name, term in terms:
+            values[name] = xp.where(diverged, term.worst(game), term.value(safe, self.distances))
+        return values
 
 
-def measured(state: State) -> FloatArray:
+def measure_distances(state: State) -> FloatArray:
     """d^i, shape (N, B), with the limit where an environment has diverged."""
-    return limited(state, distances.player_distances(state.estimates, state.game))
+    distance = distances.player_distances(state.estimates, state.game)
+    return limit_distance(state, distance) if state.any_diverged else distance
 
 
-def limited(state: State, distance: FloatArray) -> FloatArray:
+def limit_distance(state: State, distance: FloatArray) -> FloatArray:
     """A relative distance (..., B), with the limit where an environment has diverged."""
     if not state.any_diverged:
         return distance
     return array_namespace(distance).where(state.diverged, dynamics.distance_limit(state.game), distance)
-
-
-def worst(name: str, game: Game) -> FloatArray | float:
-    """The reward per remaining step at the range limit, of the terms but the digits, whose is 0 there; shape (G,)."""
-    return -dynamics.distance_limit(game) if name == "tracking" else -REWARD_LIMIT
-
-
-def minus_loss(name: str, game: Game, strategies: FloatArray) -> FloatArray:
-    """The terms ``payoff`` and ``regret``: strategies (n, B) to (N, B)."""
-    with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
-        loss = game.costs(strategies) if name == "payoff" else game.regrets(strategies)
-    result: FloatArray = array_namespace(loss).clip(-loss, -REWARD_LIMIT, REWARD_LIMIT)
-    return result

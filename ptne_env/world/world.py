@@ -81,7 +81,6 @@ class World:
             (K+H+1,); zeros likewise.
         has_constant_weights: whether every player has the weights of one graph in every step.
         component_order: components in the order of the game.
-        strategy_rows: rows of ``estimates.reshape(n N, B)`` that are strategies, shape (n,).
 
     Raises:
         ValueError: when a part cannot be built, a number is out of range, the game and the graphs disagree on the
@@ -263,7 +262,6 @@ class World:
         self.has_constant_weights = self.topology.is_fixed and self.channel.is_perfect
         components = np.arange(self.game.dimension)
         self.component_order = self.order_components(np.tile(components, (players, 1)))
-        self.strategy_rows = components * players + self.game.owners
 
     def _tabulate_time(self) -> None:
         self._topology_times = self.clock.topology_times[self.topology.clock]

@@ -80,7 +80,7 @@ def test_mean_regret_is_the_mean_over_time_relative_to_the_start():
     start = EpisodeSet(4, 3).initial_state(world)
     rollout(laws.Static(encoder.layout), encoder, start, watch=lambda state, _: states.append(state))
     chosen = np.arange(21) ** 2  # of 400 steps
-    regrets = [world.game.regrets(dynamics.strategies(world, states[step])).sum(axis=0) for step in chosen]
+    regrets = [world.game.regrets(dynamics.strategies(states[step])).sum(axis=0) for step in chosen]
     assert batch["regret"] == pytest.approx(np.array(regrets), rel=1e-9)
     mean = np.trapezoid(regrets, world.clock.t[chosen], axis=0) / 1.2
     assert measure(batch)["mean_regret"] == pytest.approx(mean / regrets[0], rel=1e-9)

@@ -18,14 +18,13 @@ from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.suites import get_suite
 from ptne_env.world import dynamics
-from ptne_env.world.rewards import Reward
+from ptne_env.world.rewards import TERMS, Reward
 
 SCENARIOS = {
     **CATALOGUE,
     **{f"ptne-v1/{track.name}": track.scenario for track in get_suite("ptne-v1").tracks},
     "faulty": FAULTY,
 }
-REWARD = {"digits": 1.0, "tracking": 0.5, "payoff": 0.1}
 STEPS = 50
 OPTIMISED = {"xla_backend_optimization_level": 3, "xla_cpu_use_fusion_emitters": True}
 
@@ -43,32 +42,30 @@ def both(world, start, inputs, reward, options):
     encoder, payer, numpys = make_encoder(world.numpy, world.layout.interface), Reward(world.numpy, reward), []
     payer.reset(state)
     for held in inputs:
-        after, was = dynamics.step(world.numpy, state, held), state.diverged
-        paid = np.where(was, 0.0, payer.total(payer.step(after)))
-        numpys.append((after.estimates, paid, encoder.observe(after), after.diverged, after.own_gradients))
-        state = after
+        state = dynamics.step(world.numpy, state, held)
+        paid = payer.total(payer.step(state))
+        numpys.append((state.estimates, paid, encoder.observe(state), state.diverged, state.own_gradients))
 
     def step(state, held):
         after = world.step(state, held)
-        paid = jax.numpy.where(state.diverged, 0.0, world.rewards(state, after, reward))
-        return after, (
-            after.estimates,
-            paid,
-            world.observe(after).transpose(2, 1, 0),
-            after.diverged,
-            after.own_gradients,
-        )
+        paid, observed = world.rewards(state, after, reward), world.observe(after).transpose(2, 1, 0)
+        return after, (after.estimates, paid, observed, after.diverged, after.own_gradients)
 
     run = jax.jit(lambda state, inputs: jax.lax.scan(step, state, inputs)[1], compiler_options=options)
     return map(np.array, zip(*numpys, strict=True)), run(twin, inputs)
 
 
-def compare(scenario, interface, reward=REWARD, size=0.3, options=None):
+def every_term(game):
+    """Weights of all terms that the game has."""
+    return {name: 0.1 for name, term in TERMS.items() if game.has_best_response or not term.needs_best_response}
+
+
+def compare(scenario, interface, reward=None, size=0.3, options=None):
     world = ptne_env.jax.World(scenario, interface=interface, pool=2)
     start = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
     shape = min(STEPS, world.numpy.clock.total_steps), *start.estimates.shape
     inputs = size * np.abs(start.own_gradients).mean() * np.random.default_rng(1).normal(size=shape)
-    numpys, twins = both(world, start, inputs, reward, options)
+    numpys, twins = both(world, start, inputs, reward or every_term(world.numpy.game), options)
     (estimates, rewards, observed, diverged, gradients), found = numpys, twins
     close(found[0], estimates)
     close(found[1], rewards)
@@ -111,8 +108,13 @@ def test_actions_become_the_same_inputs_on_jax(name, interface):
     close(jax.jit(world.inputs)(world.state(start), actions.T), encoder.decode(actions, start))
 
 
-def test_regret_is_the_same_on_jax_and_refused_where_it_is_on_numpy():
-    compare("random-energy", "physical", "regret")
+@pytest.mark.parametrize("name", TERMS)
+def test_a_term_of_the_reward_is_the_same_on_jax_also_when_episodes_diverge(name):
+    assert not compare("random-energy", "physical", name).any()
+    assert compare("random-energy", "physical", name, size=1e4)[-1].any()
+
+
+def test_regret_is_refused_on_jax_where_it_is_on_numpy():
     world = ptne_env.jax.world("non-quadratic")
     state = world.reset(jax.random.key(0))
     with pytest.raises(ValueError, match="best response"):

@@ -150,7 +150,7 @@ def test_a_disturbance_may_last():
     state, moves = begin(world, [1]), []
     for _ in range(40):
         following = dynamics.step(world, state, np.zeros_like(state.estimates))
-        moves.append((dynamics.strategies(world, following) - dynamics.strategies(world, state))[:, 0])
+        moves.append((dynamics.strategies(following) - dynamics.strategies(state))[:, 0])
         state = following
     assert np.array_equal(np.round(moves[20:30], 12), np.tile(np.round(moves[20], 12), (10, 1)))
     assert np.abs(moves[30] - moves[29]).max() > 1e-3
@@ -301,7 +301,7 @@ def test_impossible_initial_estimates_are_refused(estimates, message):
 def test_strategies_of_unequal_dimensions_are_the_own_blocks():
     world = World(BLOCKS)
     estimates = np.arange(18.0).reshape(6, 3, 1)
-    assert dynamics.strategies(world, dynamics.initial_state(world, estimates))[:, 0].tolist() == [0, 3, 7, 11, 14, 17]
+    assert dynamics.strategies(dynamics.initial_state(world, estimates))[:, 0].tolist() == [0, 3, 7, 11, 14, 17]
 
 
 def test_a_step_projects_the_strategies_into_the_box_and_leaves_estimates_of_others_outside():
@@ -310,6 +310,6 @@ def test_a_step_projects_the_strategies_into_the_box_and_leaves_estimates_of_oth
     inside = dynamics.initial_state(world, np.zeros((dimension, players, 1)))
     outside = dynamics.step(world, inside, np.full((dimension, players, 1), -500.0))
     free = -500.0 * world.clock.theta[0]
-    assert np.array_equal(dynamics.strategies(world, outside), world.game.project(np.full((dimension, 1), free)))
+    assert np.array_equal(dynamics.strategies(outside), world.game.project(np.full((dimension, 1), free)))
     others = np.arange(players) != world.game.owners[:, None]
     assert outside.estimates[others] == pytest.approx(free)

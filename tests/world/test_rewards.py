@@ -5,8 +5,8 @@ from worlds import BLOCKS, constant_actions, make_env, while_running
 from ptne_env import get_scenario
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
-from ptne_env.world.rewards import REWARD_LIMIT, TERMS, Reward
-from ptne_env.world.world import World
+from ptne_env.world.rewards import TERMS, Reward, measure_distances
+from ptne_env.world.world import RANGE_LIMIT, World
 
 EVERY_TERM = dict.fromkeys(TERMS, 1.0)
 GAMES = {"energy": get_scenario("energy", start="random"), "blocks": BLOCKS}
@@ -32,6 +32,39 @@ def distance(world, state):
     return np.sqrt((error**2).sum(axis=0)) / np.linalg.norm(equilibrium)
 
 
+def strategies(world, state):
+    owners = world.game.owners
+    return state.estimates[np.arange(owners.size), owners]
+
+
+def savings(world, state):
+    """What a best response of each player would save it."""
+    game, played = world.game, strategies(world, state)
+    response, saved = game.best_response(played), []
+    for i in range(game.num_players):
+        deviated = np.where((game.owners == i)[:, None], response, played)
+        saved.append(game.costs(played)[i] - game.costs(deviated)[i])
+    return np.array(saved)
+
+
+FORMULAS = {
+    "digits": (lambda w, before, after: np.log10(distance(w, before)) - np.log10(distance(w, after)), 1e-12),
+    "tracking": (lambda w, before, after: -distance(w, after), 0),
+    "payoff": (lambda w, before, after: -w.game.costs(strategies(w, after)), 0),
+    "regret": (lambda w, before, after: -savings(w, after), 1e-10),
+}
+"""Every term once more, from the world and the states before and after a step, and the slack of its comparison."""
+
+
+@pytest.mark.parametrize("game", GAMES)
+@pytest.mark.parametrize("name", TERMS)
+def test_a_term_is_that_of_an_independent_formula(name, game):
+    formula, slack = FORMULAS[name]
+    world, _, states, terms = episode(GAMES[game], name)
+    for before, after, term in zip(states[:-1], states[1:], terms, strict=True):
+        assert term[name] == pytest.approx(formula(world, before, after), rel=1e-12, abs=slack)
+
+
 @pytest.mark.parametrize("name", GAMES)
 def test_digits_telescope_to_the_digits_gained(name):
     world, _, states, terms = episode(GAMES[name], "digits")
@@ -52,38 +85,8 @@ def test_digits_count_no_further_than_twelve():
     assert judge.step(dynamics.step(world, arrived, np.zeros_like(equilibrium)))["digits"].tolist() == [[0.0]] * 5
 
 
-@pytest.mark.parametrize("name", GAMES)
-def test_tracking_is_minus_the_distance_after_the_step(name):
-    world, _, states, terms = episode(GAMES[name], "tracking")
-    for state, term in zip(states[1:], terms, strict=True):
-        assert term["tracking"] == pytest.approx(-distance(world, state), rel=1e-12)
-
-
-@pytest.mark.parametrize("name", GAMES)
-def test_payoff_is_minus_the_cost_of_the_real_strategies(name):
-    world, _, states, terms = episode(GAMES[name], "payoff")
-    owners = world.game.owners
-    for state, term in zip(states[1:], terms, strict=True):
-        strategies = state.estimates[np.arange(owners.size), owners]
-        assert np.array_equal(term["payoff"], -world.game.costs(strategies))
-
-
-@pytest.mark.parametrize("name", GAMES)
-def test_regret_is_minus_the_gain_of_a_best_response(name):
-    world, _, states, terms = episode(GAMES[name], "regret")
-    game, owners = world.game, world.game.owners
-    for state, term in zip(states[1:], terms, strict=True):
-        strategies = state.estimates[np.arange(owners.size), owners]
-        response = game.best_response(strategies)
-        for i in range(game.num_players):
-            deviated = np.where((owners == i)[:, None], response, strategies)
-            loss = game.costs(strategies)[i] - game.costs(deviated)[i]
-            assert term["regret"][i] == pytest.approx(-loss, abs=1e-10)
-        assert np.all(term["regret"] <= 1e-12)
-
-
 def test_a_mixed_reward_is_the_weighted_sum_of_unweighted_terms():
-    weights = {"digits": 2.0, "tracking": 0.5, "payoff": 1e-3, "regret": 0.25}
+    weights = {name: 1 / (1 + place) for place, name in enumerate(TERMS)}
     _, judge, _, terms = episode(GAMES["energy"], weights)
     alone = {name: episode(GAMES["energy"], name)[3] for name in weights}
     for k, term in enumerate(terms):
@@ -91,6 +94,20 @@ def test_a_mixed_reward_is_the_weighted_sum_of_unweighted_terms():
         for name in weights:
             assert np.array_equal(term[name], alone[name][k][name])
         assert judge.total(term) == pytest.approx(sum(weights[name] * term[name] for name in weights), rel=1e-14)
+
+
+@pytest.mark.parametrize("game", GAMES)
+@pytest.mark.parametrize("name", TERMS)
+def test_the_worst_value_is_the_limit_of_the_values_in_range(name, game):
+    world, term, generator = World(GAMES[game]), TERMS[name], np.random.default_rng(0)
+    shape = world.game.dimension, world.game.num_players, 100
+    corners, inside = generator.choice((-1.0, 1.0), shape), generator.uniform(-1, 1, shape)
+    together = np.ones(shape) * np.where(np.arange(100) % 2, -1.0, 1.0)
+    estimates = RANGE_LIMIT * np.concatenate([corners, inside, together], axis=2)
+    state = dynamics.initial_state(world, estimates)._replace(any_diverged=False)
+    values, worst = term.value(state, measure_distances(state)), term.worst(world.game)
+    assert (values >= worst).all()
+    assert values.min() <= worst / 4
 
 
 def returns_of(env, act):
@@ -142,13 +159,16 @@ def test_divergence_of_one_player_is_charged_to_all_players():
     assert (crash < survivor - 5).all()
 
 
-def test_divergence_is_charged_for_the_remaining_steps():
-    env = make_env("energy", steps=20, reward=EVERY_TERM, input_limit=1e9)
-    env.reset()
-    env.step(constant_actions(env, 0.0))
-    infos = env.step(constant_actions(env, 1e9))[4]
-    worst = {"tracking": dynamics.distance_limit(env.world.game)[0], "payoff": REWARD_LIMIT, "regret": REWARD_LIMIT}
-    for info in infos.values():
-        assert -6 < info["reward_digits"] < 0
-        for name, limit in worst.items():
-            assert info[f"reward_{name}"] == pytest.approx(-19 * limit, rel=1e-12)
+def test_divergence_is_charged_once_for_the_remaining_steps():
+    world = World(get_scenario("energy", steps=20, start="random"))
+    judge, rest = Reward(world, EVERY_TERM), np.zeros((5, 5, 1))
+    before = dynamics.step(world, dynamics.initial_state(world, rest), rest)
+    judge.reset(before)
+    after = dynamics.step(world, before, rest + 1e9)
+    charged, later = judge.step(after), judge.step(dynamics.step(world, after, rest))
+    for name, term in TERMS.items():
+        worst = term.worst(world.game)
+        lost = worst - term.value(before, measure_distances(before)) if term.is_gain else 19 * worst
+        assert charged[name] == pytest.approx(np.broadcast_to(lost, (5, 1)), rel=1e-12)
+        assert (charged[name] < 0).all()
+        assert (later[name] == 0).all()
