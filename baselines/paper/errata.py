@@ -14,8 +14,7 @@ from paper.continuous import Run, exact_static, plain_timeline, simulate
 from paper.experiments import DEADLINE, GAIN, GAMMA, KAPPA, Experiments
 from paper.table import labelled_graphs, misfits
 from ptne_env.games import AffineGame, NonQuadraticGame
-from ptne_env.theory import closed_loop_matrix, monotonicity_constants, spectral_abscissa
-from ptne_env.theory.check_game import check_game
+from ptne_env.theory import check_game, closed_loop_matrix, monotonicity_constants, spectral_abscissa
 from ptne_env.world.graphs import cycle, from_networkx, path
 
 

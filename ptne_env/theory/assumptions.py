@@ -1,15 +1,20 @@
-"""Lemma 1 and Assumptions 1–4 of the paper on one scenario, each with the number that decides it."""
+"""Lemma 1 and Assumptions 1–4 of the paper on one scenario, each with the number that decides it.
+
+:func:`check_game` tests Assumption 3 and the gradients of any game on sampled points.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import numpy as np
+import scipy
 
 from ptne_env.games import Game
-from ptne_env.shared.arrays import frozen
-from ptne_env.theory.check_game import check_game
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, frozen
 from ptne_env.theory.constants import SAMPLES, MonotonicityConstants, jacobian_at_equilibrium
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.world import World
@@ -20,22 +25,25 @@ _GRID = frozen(np.linspace(0.0, 6.0, 2001))
 """Transformed times s at which a time transformation is checked."""
 
 _LIMIT_TOLERANCE = 1e-4
-"""A limit counts as 0 when it is within this fraction of T."""
+"""Fraction of T below which a limit counts as 0."""
+
+_RADII = np.array([1e2, 1e3, 1e4])
+"""Distances along a ray at which a cost must have grown."""
 
 
 class LemmaViolationError(ValueError):
-    """The function violates a condition of Lemma 1."""
+    """A time transformation violates a condition of Lemma 1."""
 
 
 @dataclass(frozen=True)
 class AssumptionCheck:
-    """One assumption of the paper on one scenario.
+    """The check of one assumption of the paper on one scenario.
 
     Attributes:
         name: ``"Lemma 1"`` or ``"Assumption 1"`` to ``"Assumption 4"``.
-        statement: in words.
+        statement: the assumption in words.
         value: the number that decides; ``None`` where λ violates Lemma 1 before there is a number.
-        meaning: name of that number.
+        meaning: what the number is.
         verdict: ``"holds"``, ``"fails"``, or ``"sampled only"`` where no sample refutes it and nothing proves it.
     """
 
@@ -47,18 +55,18 @@ class AssumptionCheck:
 
 
 def check_assumptions(world: World, constants: MonotonicityConstants) -> tuple[AssumptionCheck, ...]:
-    """Lemma 1 on λ and Assumptions 1–4 on the graphs and the game (of a family: its representative).
+    """Check Lemma 1 on λ, and Assumptions 1–4 on the graphs and the game; of a family, on its representative.
 
     Args:
         world: the scenario, built.
-        constants: of its game.
+        constants: the constants of its game.
     """
     topology = world.topology
     smallest = min(graph.algebraic_connectivity for graph in topology.graphs)
     joint = topology.union.algebraic_connectivity
     connected = "the fixed graph is connected" if topology.is_fixed else "every graph is connected at every instant"
     union = "λ2 of the union graph" + ", almost surely" * (topology.is_random and smallest == 0)
-    curvature, meaning, convex = _check_convexity(world.game)
+    curvature, meaning, convex = _judge_convexity(world.game)
     kind = "exact" if constants.exact else f"from {SAMPLES} samples within {constants.radius:g} of x*"
     monotone: Verdict = "fails" if constants.epsilon <= 0 else "holds" if constants.exact else "sampled only"
     return (
@@ -93,8 +101,8 @@ def _check_lemma(world: World) -> AssumptionCheck:
     return AssumptionCheck("Lemma 1", statement, remaining, "limit of 1 − λ/T", "holds")
 
 
-def _check_convexity(game: Game) -> tuple[float, str, Verdict]:
-    """Assumption 3: the deciding number, its meaning and the verdict."""
+def _judge_convexity(game: Game) -> tuple[float, str, Verdict]:
+    """Return the number that decides Assumption 3, what it is, and the verdict."""
     if game.is_affine:
         # With F affine J_i is quadratic in x_i with this Hessian, so its definiteness decides both properties.
         jacobian = jacobian_at_equilibrium(game)
@@ -108,7 +116,7 @@ def _check_convexity(game: Game) -> tuple[float, str, Verdict]:
 
 
 def check_time_transformation(transformation: TimeTransformation) -> float:
-    """Check the conditions (7a)–(7c) of Lemma 1, and that λ, λ' and λ^{-1} are consistent.
+    """Check the conditions (7a)–(7c) of Lemma 1, and that λ, λ' and λ^{-1} agree with each other.
 
     (7a), (7b) and the inverse are checked on a grid that ends where λ is within 1e-7 T of T, or at s = 6. The limits
     (7c) are the values at s = 10, 100, …, 1e6, up to where a formula overflows; a slower λ, such as one that approaches
@@ -118,7 +126,7 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
         1 − λ(s)/T at the last of these s.
 
     Raises:
-        LemmaViolationError: naming the first condition that is violated.
+        LemmaViolationError: when a condition is violated; the message names the first one.
     """
     deadline = transformation.deadline
     reached = np.abs(deadline - transformation.time(_GRID)) < 1e-7 * deadline
@@ -150,7 +158,151 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
         ("(7c) λ'(s) → 0", abs(slopes[last]) <= _LIMIT_TOLERANCE, f"λ'(s) tends to {slopes[last] * deadline:.3g}"),
         ("λ^{-1}(λ(s)) = s", error <= 1e-6, f"off by {error:.3g}"),
     )
-    for condition, holds, found in conditions:
+    for condition, holds, evidence in conditions:
         if not holds:
-            raise LemmaViolationError(f"{type(transformation).__name__} violates {condition} of Lemma 1: {found}")
+            raise LemmaViolationError(f"{type(transformation).__name__} violates {condition} of Lemma 1: {evidence}")
     return float(remaining[last])
+
+
+@dataclass(frozen=True)
+class GameReport:
+    """The result of :func:`check_game` on sampled points.
+
+    Attributes:
+        gradient_error: largest |own-gradient − numerical derivative of J_i| / (1 + |derivative|).
+        strictly_convex: per player, whether every sampled chord of J_i in its own strategy lies above J_i.
+        radially_unbounded: per player, whether J_i grew along every sampled ray of its own strategy; true where the box
+            is bounded, as a minimiser exists then.
+    """
+
+    gradient_error: float
+    strictly_convex: tuple[bool, ...]
+    radially_unbounded: tuple[bool, ...]
+
+    @property
+    def gradients_agree(self) -> bool:
+        """Whether the own-gradients are the derivatives of the costs, to 1e-6."""
+        return self.gradient_error <= 1e-6
+
+    @property
+    def assumption_3_holds(self) -> bool:
+        """Whether every cost was strictly convex and radially unbounded in its own strategy on all samples."""
+        return all(self.strictly_convex) and all(self.radially_unbounded)
+
+
+def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int = 0) -> GameReport:
+    """Compare own gradients with numerical derivatives, and test each J_i for convexity and growth in x_i.
+
+    Samples can refute an assumption but not prove it. All of them lie in the game's box. For Assumption 4 see
+    :func:`~ptne_env.theory.monotonicity_constants`.
+
+    Args:
+        game: the game to check.
+        samples: the number of random joint strategies.
+        radius: components are drawn from U(−radius, radius); with two bounds, from the interval between them; with one
+            bound, from an interval of length 2 radius next to it.
+        seed: the seed of the draws.
+
+    Raises:
+        TypeError: when ``game`` is no game.
+        ValueError: when costs or own gradients of many environments cannot be computed, or have another shape.
+    """
+    if not isinstance(game, Game):
+        raise TypeError(f"check_game needs a Game, such as env.world.game, got a {type(game).__name__}")
+    generator = np.random.default_rng(seed)
+    points = _move_into_box(game, radius, generator.uniform(-radius, radius, (game.dimension, samples)))
+    estimates = np.repeat(points[:, None], game.num_players, axis=1)
+    _require_shape(game.costs, points, "(n, B)", (game.num_players, samples), "(N, B)")
+    _require_shape(game.own_gradients, estimates, "(n, N, B)", points.shape, "(n, B)")
+    numerical = _differentiate_costs(game, points)
+    error = float(np.max(np.abs(game.pseudo_gradient(points) - numerical) / (1 + np.abs(numerical))))
+
+    convex, unbounded = [], []
+    for player in range(game.num_players):
+        block = game.owners == player
+        direction = generator.normal(size=(game.action_dims[player], samples))
+        direction /= np.linalg.norm(direction, axis=0)
+        convex.append(_is_strictly_convex(game, points, player, block, direction))
+        unbounded.append(_grows_along_rays(game, points, player, block, direction))
+    return GameReport(error, tuple(convex), tuple(unbounded))
+
+
+def _require_shape(
+    method: Callable[[FloatArray], FloatArray], argument: FloatArray, axes: str, expected: tuple[int, ...], wanted: str
+) -> None:
+    """Raise ``ValueError`` unless a method of a game takes many environments at once."""
+    rule = f"{method.__qualname__} maps {axes} = {argument.shape} to {wanted} = {expected}, environments B last"
+    try:
+        shape = np.shape(method(argument))
+    except (TypeError, ValueError, LookupError) as error:
+        raise ValueError(f"{rule}; it raised {type(error).__name__}: {error}") from error
+    if shape != expected:
+        raise ValueError(f"{rule}; it returned the shape {shape}")
+
+
+def _move_into_box(game: Game, radius: float, drawn: FloatArray) -> FloatArray:
+    """Map points drawn from [−radius, radius] into the game's box."""
+    if game.low is None or game.high is None:
+        return drawn
+    low = np.where(np.isfinite(game.low), game.low, np.where(np.isfinite(game.high), game.high - 2 * radius, -radius))
+    high = np.where(np.isfinite(game.high), game.high, low + 2 * radius)
+    return low + (high - low) * (drawn + radius) / (2 * radius)
+
+
+def _differentiate_costs(game: Game, points: FloatArray) -> FloatArray:
+    """Return numerical derivatives ∂J_i/∂x_i at points (n, samples); same shape."""
+    low, high = (np.full((game.dimension, 1), bound) for bound in (-np.inf, np.inf))
+    if game.low is not None and game.high is not None:
+        low, high = game.low[:, :1], game.high[:, :1]
+    # A cost need not be defined outside the box, so derivatives there are taken on the wider side.
+    side = np.where(high - points >= points - low, 1, -1)
+    components, samples = np.indices(points.shape)
+
+    def costs(values: FloatArray, component: IntArray, sample: IntArray) -> FloatArray:
+        component, sample = (np.broadcast_to(index, values.shape).ravel() for index in (component, sample))
+        moved, columns = points[:, sample], np.arange(values.size)
+        moved[component, columns] = values.ravel()
+        return game.costs(moved)[game.owners[component], columns].reshape(values.shape)
+
+    return np.asarray(
+        scipy.differentiate.derivative(
+            costs,
+            points,
+            args=(components, samples),
+            initial_step=np.minimum(0.5, (high - low) / 8),
+            step_direction=np.where(np.isfinite(low) | np.isfinite(high), side, 0),
+        ).df
+    )
+
+
+def _cost_on_ray(
+    game: Game, points: FloatArray, player: int, block: BoolArray, direction: FloatArray, distance: float
+) -> FloatArray:
+    """Return the player's cost after its strategy moved by this distance, shape (samples,)."""
+    moved = points.copy()
+    moved[block] = points[block] + distance * direction
+    with np.errstate(over="ignore"):  # an exponential cost may overflow to +inf, which is growth
+        return game.costs(moved)[player]
+
+
+def _is_strictly_convex(game: Game, points: FloatArray, player: int, block: BoolArray, direction: FloatArray) -> bool:
+    if game.has_bounds:  # between two points of the box
+        direction = (np.roll(points[block], 1, axis=1) - points[block]) / 2
+        points = points.copy()
+        points[block] += direction
+    low, middle, high = (_cost_on_ray(game, points, player, block, direction, step) for step in (-1.0, 0.0, 1.0))
+    return bool(np.all(low + high - 2 * middle > 1e-9 * (1 + np.abs(middle))))
+
+
+def _grows_along_rays(game: Game, points: FloatArray, player: int, block: BoolArray, direction: FloatArray) -> bool:
+    grows = True
+    for sign in (-1.0, 1.0):
+        ray = sign * direction
+        if game.low is not None and game.high is not None:  # only in unbounded directions
+            ray = np.where(np.where(ray < 0, game.low[block], game.high[block]) * np.sign(ray) == np.inf, ray, 0.0)
+            ray = ray / np.maximum(np.linalg.norm(ray, axis=0), 1e-300)
+        leaves = np.any(ray != 0, axis=0)
+        costs = [_cost_on_ray(game, points, player, block, ray, radius)[leaves] for radius in _RADII]
+        grows &= all(bool(np.all(far >= near)) for near, far in pairwise(costs))
+        grows &= bool(np.all(costs[-1] > _cost_on_ray(game, points, player, block, ray, 0.0)[leaves]))
+    return grows

@@ -1,4 +1,4 @@
-"""Certificates: what theory predicts about a law on a scenario, before anything runs."""
+"""Certificates, which say what theory predicts about a law on a scenario before anything runs."""
 
 from __future__ import annotations
 
@@ -26,49 +26,49 @@ from ptne_env.theory.closed_loop import (
     gain_growth,
     sampled_loop,
 )
-from ptne_env.theory.conditions import Condition, condition, problem_constants
+from ptne_env.theory.conditions import Condition, condition
+from ptne_env.theory.constants import problem_constants
 from ptne_env.world import distances
 from ptne_env.world.channels import Chain
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import RANGE_LIMIT, SHORTFALL_WARNING, World
 
 _MOST_DIGITS = 308.0
-"""Digits are clipped to ± this number, so that a certificate holds no infinity."""
+"""Largest size of predicted digits, so that a certificate holds no infinity."""
 
 _ROUNDINGS = 4
-"""Draws of the rounding of the start."""
+"""Number of starts that are moved at random, to see whether rounding shows."""
 
 _TOLERANCE = 5e-4
-"""By how much the digits of an episode may differ from exact ones."""
+"""Difference between the digits of an episode and exact ones that counts as none."""
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What theory predicts about a law on a scenario; see :func:`certify` and docs/theory.md.
+    """The predictions of theory about a law on a scenario; see :func:`certify` and docs/theory.md.
 
     Numbers of the closed loop are ``None`` for a law that has none, and ``notes`` gives the reason. The loop is
     *linear* when F is affine and no box confines the strategies.
 
     Attributes:
-        scenario: name.
-        law: class and arguments.
+        scenario: the name of the scenario.
+        law: the class of the law and its arguments.
         assumptions: Lemma 1 and Assumptions 1–4 of the paper, each with the number that decides it.
-        condition: the condition of the law's own theorem, sufficient for convergence; ``None`` for a law without a
-            theorem.
+        condition: the condition of the law's theorem, sufficient for convergence; ``None`` without a theorem.
         clock: ``"effective"``, or ``"physical"`` for a law that undoes the time gain.
-        rate: r with which the error decays like e^{−r s} as t → T (e^{−r t} on the physical clock); 0 or less when it
-            does not vanish. Of the linearisation at x* where the loop is not linear; at the gains at the start where
-            these adapt; ``None`` for a random topology.
-        digits: predicted −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖) at T from the scenario's start, of the sampled loop, the
-            product of (I − h_k M_k), over perfect links; ``None`` where the loop is not linear or gains adapt.
-        digits_are_exact: whether every episode has these digits, up to 12 of them: nothing is random and nothing
-            disturbs, rounding does not show, and no input, estimate or message reaches its limit. Where an episode may
-            have others, ``notes`` gives each reason.
-        largest_step: the largest step to T, Θ_k (Δt_k on the physical clock).
+        rate: r, with which the error decays like e^{−r s} as t → T (e^{−r t} on the physical clock); 0 or less when it
+            does not vanish; ``None`` for a random topology. Where the loop is not linear, it is the rate of the
+            linearisation at x*; where gains adapt, that of the gains at the start.
+        digits: −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖) at T, which the sampled loop, the product of (I − h_k M_k), reaches from
+            the scenario's start over perfect links; ``None`` where the loop is not linear or gains adapt.
+        digits_are_exact: whether every episode has these digits, up to 12 of them: nothing is random, nothing disturbs,
+            rounding does not show, and no input, estimate or message reaches its limit. Otherwise ``notes`` gives the
+            reasons.
+        largest_step: the largest step before T: Θ_k, or Δt_k on the physical clock.
         largest_stable_step: the step beyond which explicit steps on some mode's M amplify an error; ``None`` when no
             step is stable.
         shortfall: 1 − t_K/T, how far short of the deadline the last step ends, as a fraction of T.
-        notes: limits of these numbers and what the errata say about them, in sentences.
+        notes: sentences about the limits of these numbers, and what the errata say about them.
     """
 
     scenario: str
@@ -85,7 +85,7 @@ class Certificate:
     largest_stable_step: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """A JSON object; a missing value is null, and no number is NaN or infinite."""
+        """Return a JSON object, in which a missing value is null and no number is NaN or infinite."""
         data = dataclasses.asdict(self)
         data["assumptions"], data["notes"] = list(data["assumptions"]), list(data["notes"])
         for name in ("value", "bound"):
@@ -95,19 +95,19 @@ class Certificate:
 
 
 def certify(scenario: Scenario, law: str | FactorySpec | PolicySpec | type[Law] = Static) -> Certificate:
-    """What theory predicts about ``law`` on ``scenario``.
+    """Predict what a law does on a scenario, and check the assumptions of its theorem.
 
     Args:
-        scenario: the experiment; a random start, topology or game contributes one draw, the first two with seed 0.
-        law: a law's class (the static law with κ = 2 if left out), a spec such as
-            ``FactorySpec.of("law:grounded", kappa=4.0)``, or whatever
-            :func:`~ptne_env.evaluation.get_policy_spec` takes. Numbers of the closed loop need a law that is linear in
-            gradient and differences, possibly with gains that adapt.
+        scenario: the scenario. Of a random start or topology one draw counts, with seed 0; of random games, a typical
+            one.
+        law: the class of a law, a spec such as ``FactorySpec.of("law:grounded", kappa=4.0)``, or whatever
+            :func:`~ptne_env.evaluation.get_policy_spec` takes. A closed loop has a law that is linear in gradient and
+            differences, possibly with gains that adapt.
 
     Raises:
-        TypeError: when ``scenario`` is no :class:`~ptne_env.world.scenario.Scenario`, such as its name.
+        TypeError: when ``scenario`` is no :class:`~ptne_env.world.scenario.Scenario`; a name is none.
         ValueError: when ``law`` does not build a law that can act on the scenario.
-        PolicyError: when building it fails.
+        PolicyError: when the constructor of the law fails.
     """
     if not isinstance(scenario, Scenario):
         raise TypeError(
@@ -143,15 +143,15 @@ def certify(scenario: Scenario, law: str | FactorySpec | PolicySpec | type[Law] 
 
 
 def build_law(law: str | FactorySpec | PolicySpec | type[Law], world: World) -> Law:
-    """The law, built for the layout of ``world`` under its own interface; named as for :func:`certify`.
+    """Build a law, named as for :func:`certify`, for the layout of ``world`` under its own interface.
 
     Raises:
-        ValueError: when the law cannot act in the world, or something else than a law is built.
+        ValueError: when the law cannot act in the world, or the result is no law.
     """
     spec = _spec(law)
     built = spec.build(make_encoder(world, spec.interface).layout)
     if not isinstance(built, Law):
-        raise ValueError(f"{spec.name!r} is no law, but a {type(built).__name__}; the theory is about laws")
+        raise ValueError(f"{spec.name!r} is no law, but a {type(built).__name__}; only laws have certificates")
     return built
 
 
@@ -167,7 +167,7 @@ def _describe(spec: PolicySpec) -> str:
 
 
 def _faults(world: World) -> list[str]:
-    """All that disturbs an episode, and that no number includes."""
+    """Return what disturbs an episode and enters no number."""
     channel = world.channel
     stages = channel.stages if isinstance(channel, Chain) else (channel,)
     if world.message_range < math.inf:
@@ -179,7 +179,7 @@ def _faults(world: World) -> list[str]:
 
 
 class _Prediction:
-    """The closed loop in a world, from its start, in numbers and notes."""
+    """The predictions that follow from a closed loop in a world and its start."""
 
     def __init__(self, world: World, law: Law, loop: SampledLoop) -> None:
         self.world, self.law, self.loop = world, law, loop
@@ -201,15 +201,15 @@ class _Prediction:
     def digits(self) -> float | None:
         if not self.is_linear:
             return None
-        found = np.clip(distance(self.path[-1], self.world.game), 10.0**-_MOST_DIGITS, 10.0**_MOST_DIGITS)
-        return float(-np.log10(found))
+        error = np.clip(distance(self.path[-1], self.world.game), 10.0**-_MOST_DIGITS, 10.0**_MOST_DIGITS)
+        return float(-np.log10(error))
 
     @cached_property
-    def deviations(self) -> list[str]:
+    def deviations(self) -> tuple[str, ...]:
         """Why an episode may have other digits than the linear loop, apart from what disturbs it."""
-        return list(self._deviations())
+        return tuple(self._find_deviations())
 
-    def _deviations(self) -> Iterator[str]:
+    def _find_deviations(self) -> Iterator[str]:
         world, layout, game = self.world, self.law.layout, self.world.game
         path = self.path[np.isfinite(self.path).all(axis=1)]
         inputs = np.diff(path, axis=0) / world.clock.theta[: len(path) - 1, None]
@@ -239,7 +239,7 @@ class _Prediction:
         return stable is not None and self.loop.largest_step >= stable
 
     def _is_rounded(self, path: FloatArray) -> bool:
-        """Whether rounding to float32 may change the digits at T: a start that is moved by more changes them.
+        """Return whether rounding to float32 may change the digits at T, as moving the start by more than that does.
 
         A loop that damps the error of the start fast, and other errors slowly, ends where rounding leaves it.
         """
@@ -255,7 +255,7 @@ class _Prediction:
         return self.is_linear and is_certain and not self.deviations
 
     def notes(self) -> Iterator[str]:
-        """Limits of these numbers."""
+        """Return the limits of these numbers."""
         topology, rate = self.world.topology, self.rate
         if self.law.has_memory:
             yield "the gains adapt: rate and largest stable step are those of the gains at the start; no digits"
@@ -279,7 +279,7 @@ class _Prediction:
 
 
 def _scenario_notes(world: World, *, covers_range: bool = False) -> Iterator[str]:
-    """Limits that hold for every law."""
+    """Return the limits that hold for every law."""
     scenario, topology = world.scenario, world.topology
     if world.has_random_game:
         yield "the scenario draws games: the numbers are those of the typical game"

@@ -1,4 +1,4 @@
-"""The closed loop dx/dτ = −M (x − 1⊗x*) of every law that is linear in gradient and differences, and its rates.
+"""The closed loop dx/dτ = −M (x − 1⊗x*) of a law that is linear in gradient and differences, and its rates.
 
 Everything here is in effective time τ = s + c t and in the paper's player-major stacking x = col(x^1, …, x^N), its eq.
 (11): entry i n + k belongs to x^i_k. For games with affine F it is exact; for the others M is the linearisation at x*.
@@ -22,17 +22,17 @@ from ptne_env.games import Game
 from ptne_env.laws import Law
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, IntArray, require_non_negative
-from ptne_env.theory.constants import ZERO, jacobian_at_equilibrium
+from ptne_env.theory.constants import ZERO, jacobian_at_equilibrium, last_modes
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.graphs import Graph
 from ptne_env.world.switching import SwitchingTopology
 from ptne_env.world.world import World
 
 LoopClock: TypeAlias = Literal["effective", "physical"]
-"""The time in which a law's own loop is dx = −M x: τ, or t for a law without the time gain."""
+"""The time in which the loop of a law is dx = −M x: τ, or t for a law without the time gain."""
 
 _OVERFLOW = 1e150
-"""A loop whose error exceeds this has diverged; its squares would overflow."""
+"""Error beyond which a loop counts as diverged; its squares would overflow."""
 
 
 class NoClosedLoopError(ValueError):
@@ -40,18 +40,18 @@ class NoClosedLoopError(ValueError):
 
 
 def closed_loop_matrix(game: Game, graph: Graph, kappa: float) -> FloatArray:
-    """M = Rᵀ dF + κ L⊗I_n of the static law around x*, without the entries that bounds hold at x*.
+    """Return M = Rᵀ dF + κ L⊗I_n of the static law around x*, without the entries that bounds hold at x*.
 
     Args:
         game: the game; its F is linearised at x* unless it is affine.
-        graph: the communication graph, on the game's players.
+        graph: the communication graph of the game's players.
         kappa: κ ≥ 0. For the adaptive law at frozen gains, use a graph with the weights κ_ij a_ij and κ = 1.
 
     Returns:
         Shape (Nn, Nn), less the entries of strategies that bounds hold at x*.
 
     Raises:
-        ValueError: when κ < 0 or the graph has another number of players.
+        ValueError: when κ is negative, or the graph has another number of players.
     """
     require_non_negative("kappa", kappa)
     if graph.num_players != game.num_players:
@@ -60,11 +60,11 @@ def closed_loop_matrix(game: Game, graph: Graph, kappa: float) -> FloatArray:
     matrix = np.asarray(kappa * np.kron(graph.laplacian, np.eye(n)))
     for component, owner in enumerate(game.owners):
         matrix[owner * n + component, owner * n : (owner + 1) * n] += jacobian[component]
-    return _restricted(matrix, game)
+    return _restrict(matrix, game)
 
 
 def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
-    """M of any law that is linear in gradient and differences, measured on the law itself: u = −M (x − 1⊗x*).
+    """Return M of a law that is linear in gradient and differences, u = −M (x − 1⊗x*), as measured on the law.
 
     Each player observes unit errors of its own estimate, and unit messages, at x*; its inputs are the columns of M. So
     M is that of the code that acts in the environment, and a new law needs nothing added here.
@@ -123,11 +123,11 @@ def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
         matrix[i, :, i] = -inputs[i, :n].T
         for slot in np.flatnonzero(live[i]):
             matrix[i, :, neighbours[i, slot]] -= inputs[i, n + slot * n : n + (slot + 1) * n].T
-    return _restricted(matrix.reshape(players * n, -1), game)
+    return _restrict(matrix.reshape(players * n, -1), game)
 
 
 def _require_loop(law: Law) -> None:
-    """Check that a law reads and remembers no more than a loop has."""
+    """Raise ``NoClosedLoopError`` for a law that reads or remembers more than a loop has."""
     name, unknown = type(law).__name__, sorted(set(law.needs) - {"own_estimate"})
     if unknown:
         raise NoClosedLoopError(
@@ -138,19 +138,19 @@ def _require_loop(law: Law) -> None:
 
 
 def blank_observation(layout: ObservationLayout, player: IntArray) -> Observation:
-    """Observations of these players, shape (R,), in which every other number is 0."""
+    """Return observations of these players, shape (R,), in which every other number is 0."""
     arrays = np.zeros((player.size, layout.size))
     arrays[:, layout.slices["player"]] = np.eye(layout.num_players)[player]
     return layout.read(arrays)
 
 
 def inputs_of(law: Law, observation: Observation) -> FloatArray:
-    """The inputs u^i of a law with its initial memory, shape (R, n)."""
+    """Return the inputs u^i of a law with its initial memory, shape (R, n)."""
     return law.inputs(observation, law.initial_memory(len(observation.player)))[0]
 
 
 def spectral_abscissa(matrix: FloatArray) -> float:
-    """Min Re μ over the eigenvalues μ of M, the rate of e^{−Mτ}; exactly 0 when that is rounding."""
+    """Return min Re μ over the eigenvalues μ of M, the rate of e^{−Mτ}; exactly 0 where only rounding remains."""
     smallest = float(np.linalg.eigvals(matrix).real.min())
     return 0.0 if abs(smallest) <= ZERO * np.linalg.norm(matrix) else smallest
 
@@ -158,19 +158,19 @@ def spectral_abscissa(matrix: FloatArray) -> float:
 def decay_rate(
     matrices: Sequence[FloatArray], topology: SwitchingTopology, deadline: float, clock: LoopClock = "effective"
 ) -> float:
-    """The rate r with which the error of dx = −M x decays: like e^{−r s} as t → T, or like e^{−r t} on the clock t.
+    """Return the rate r of the error of dx = −M x, which decays like e^{−r s} as t → T, or e^{−r t} on the clock t.
 
     A fixed graph gives the spectral abscissa of M. A periodic topology on the clock of the loop, which is the
-    transformed one for a loop in τ since dτ/ds → 1, gives the Floquet rate −ln ρ(Π e^{−M_m Δ_m})/period. Of one on the
-    physical clock a loop in τ meets finitely many switches before T, so only its last graph counts, and the rate is 0
-    when that graph is disconnected (docs/errata.md, 2). Of one on the transformed clock a loop in t meets ever faster
+    transformed one for a loop in τ since dτ/ds → 1, gives the Floquet rate −ln ρ(Π e^{−M_m Δ_m})/period. On the
+    physical clock a loop in τ meets finitely many switches before T, so only the last graph counts, and the rate is 0
+    where that graph is disconnected (docs/errata.md, 2). On the transformed clock a loop in t meets ever faster
     switches, which gives the spectral abscissa of the mean of M.
 
     Args:
         matrices: M of every mode of the topology.
-        topology: not random.
+        topology: the topology, which is not random.
         deadline: T in seconds.
-        clock: of the loop.
+        clock: the clock of the loop.
     """
     if topology.is_fixed:
         return spectral_abscissa(matrices[0])
@@ -185,7 +185,7 @@ def decay_rate(
 
 
 def largest_stable_step(matrix: FloatArray) -> float | None:
-    """The supremum of Θ with |1 − Θμ| ≤ 1 for every eigenvalue μ of M: min 2 Re μ/|μ|².
+    """Return the supremum of Θ with |1 − Θμ| ≤ 1 for every eigenvalue μ of M: min 2 Re μ/|μ|².
 
     Zero eigenvalues, which every disconnected graph has, are neither amplified nor damped and do not count.
 
@@ -200,7 +200,7 @@ def largest_stable_step(matrix: FloatArray) -> float | None:
 
 
 def gain_growth(transformation: TimeTransformation) -> float:
-    """The exponent p with which 1/λ'(s) grows like e^{p s}: 1 for the paper's λ, 2 for tanh, about 0 for rational λ.
+    """Return the p with which 1/λ'(s) grows like e^{p s}: 1 for the paper's λ, 2 for tanh, about 0 for rational λ.
 
     An error that decays like e^{−r s} has a bounded velocity g(t) u when r ≥ p and a finite ∫‖g u‖² dt when r > p/2.
     """
@@ -209,18 +209,8 @@ def gain_growth(transformation: TimeTransformation) -> float:
     return float(growth) / (far - near)
 
 
-def last_modes(topology: SwitchingTopology, deadline: float) -> Sequence[int]:
-    """Indices of the graphs that may act as t → T, for a fixed graph or a topology on the physical clock."""
-    if topology.is_fixed:
-        return (0,)
-    if topology.is_random:
-        return range(len(topology.graphs))
-    last_switch = float(np.max(topology.switches(0.0, deadline), initial=0.0))
-    return (int(topology.schedule((last_switch + deadline) / 2).modes),)
-
-
-def _restricted(matrix: FloatArray, game: Game) -> FloatArray:
-    """M without the entries that do not move near x*: strategies that bounds hold there."""
+def _restrict(matrix: FloatArray, game: Game) -> FloatArray:
+    """Leave out the entries of M that do not move near x*: strategies that bounds hold there."""
     own = game.owners == np.arange(game.num_players)[:, None]
     free = ~(own & game.held_at_equilibrium[:, 0]).ravel()
     return matrix if free.all() else np.asarray(matrix[np.ix_(free, free)])
@@ -228,7 +218,7 @@ def _restricted(matrix: FloatArray, game: Game) -> FloatArray:
 
 @dataclass(frozen=True)
 class SampledLoop:
-    """The steps of an episode to T.
+    """The closed loop of an episode to T, step by step.
 
     Attributes:
         matrices: M of every mode of the topology, in order, shape (Nn, Nn) each.
@@ -249,18 +239,18 @@ class SampledLoop:
 
     @property
     def largest_stable_step(self) -> float | None:
-        """The smallest over the modes; ``None`` where every step on some mode amplifies an error.
+        """The smallest one over the modes; ``None`` where every step on some mode amplifies an error.
 
-        It does not prove that products of the steps of several modes are stable.
+        Products of the steps of several modes may still be unstable.
         """
         stable = [largest_stable_step(matrix) for matrix in self.matrices]
         return None if None in stable else min(step for step in stable if step is not None)
 
     def errors(self, start: FloatArray) -> FloatArray:
-        """The error **x** − 1⊗x* at every instant.
+        """Return the error **x** − 1⊗x* at every instant.
 
         Args:
-            start: initial error, shape (Nn,).
+            start: the initial error, shape (Nn,).
 
         Returns:
             Shape (K+1, Nn); not finite from where a diverging loop leaves the range of float64.
@@ -276,23 +266,22 @@ class SampledLoop:
 
 
 def sampled_loop(world: World, law: Law) -> SampledLoop:
-    """The steps that ``law`` takes in ``world``; in a world of random games, on its typical game.
+    """Return the loop of ``law`` in ``world``; in a world of random games, on its typical game.
 
     Args:
         world: the scenario, built.
-        law: built for the world's layout; see :func:`law_matrix` for the laws that have a
-            loop.
+        law: built for the layout of the world; :func:`law_matrix` says which laws have a loop.
 
     Raises:
-        NoClosedLoopError: as :func:`law_matrix`, and for a law that reads the length of
-            its step for more than to undo the time gain.
+        NoClosedLoopError: as :func:`law_matrix`, and for a law that reads the length of its step for more than to undo
+            the time gain.
     """
     clock, topology = world.clock, world.topology
     matrices = tuple(law_matrix(law, world.game, graph) for graph in topology.graphs)
     theta, dt = clock.theta[: clock.steps], clock.dt[: clock.steps]
     # The first and the last step, a step that is longer in τ, and one that is longer in t.
     thetas, dts = np.array([theta[0], theta[-1], 2 * theta[0], theta[0]]), np.array([dt[0], dt[-1], dt[0], 2 * dt[0]])
-    responses = _responses(law, thetas, dts)
+    responses = _respond(law, thetas, dts)
     instants = clock.topology_times[topology.clock][: clock.steps]
     modes = topology.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
     if _is_constant(responses):
@@ -302,20 +291,20 @@ def sampled_loop(world: World, law: Law) -> SampledLoop:
     raise NoClosedLoopError(f"{type(law).__name__} reads the length of its step, so it has another loop in every step")
 
 
-def _responses(law: Law, theta: FloatArray, dt: FloatArray) -> FloatArray:
-    """Inputs of all players for the same gradients and differences in steps of other lengths, one row per step."""
+def _respond(law: Law, theta: FloatArray, dt: FloatArray) -> FloatArray:
+    """Return the inputs for the same gradients and differences in steps of several lengths, one row per step."""
     layout, generator = law.layout, np.random.default_rng(0)
     players, steps = layout.num_players, len(theta)
     blank = blank_observation(layout, np.tile(np.arange(players), steps))
 
-    def drawn(*shape: int) -> FloatArray:
+    def draw(*shape: int) -> FloatArray:
         return np.tile(generator.uniform(0.5, 1.5, (players, *shape)), (steps, *(1,) * len(shape)))
 
     observation = blank._replace(
-        gradient=np.where(layout.own_mask[blank.player], drawn(layout.dimension), 0.0),
-        relative_estimates=drawn(layout.slots, layout.dimension),
-        weights=drawn(layout.slots),
-        own_estimate=drawn(layout.dimension),
+        gradient=np.where(layout.own_mask[blank.player], draw(layout.dimension), 0.0),
+        relative_estimates=draw(layout.slots, layout.dimension),
+        weights=draw(layout.slots),
+        own_estimate=draw(layout.dimension),
         theta=np.repeat(theta, players)[:, None],
         dt=np.repeat(dt, players)[:, None],
     )
@@ -327,5 +316,5 @@ def _is_constant(responses: FloatArray) -> bool:
 
 
 def distance(errors: FloatArray, game: Game) -> FloatArray:
-    """‖**x** − 1⊗x*‖/(√N ‖x*‖) of errors (..., Nn), shape (...)."""
+    """Return ‖**x** − 1⊗x*‖/(√N ‖x*‖) of errors (..., Nn), shape (...)."""
     return np.linalg.norm(errors, axis=-1) / (math.sqrt(game.num_players) * float(game.equilibrium_scale[0]))

@@ -1,17 +1,16 @@
-"""Conditions of the laws' theorems: numbers of a scenario against the numbers that each theorem needs.
+"""The conditions of the laws' theorems, which compare numbers of a scenario with those that a theorem needs.
 
-:func:`condition` finds the condition of a law by its class. Conditions are sufficient for convergence, not
-necessary. A law of your own registers its condition::
+They are sufficient for convergence, not necessary. :data:`CONDITIONS` is the table of them; the condition of a law of
+your own is one more entry::
 
-    @condition.register
-    def _(law: MyLaw, constants: ProblemConstants) -> Condition:
-        return Condition.above("κ > 1/λ2", law.kappa, 1 / constants.connectivity)
+    theory.CONDITIONS[MyLaw] = lambda law, constants: Condition.above("κ > 1/λ2", law.kappa, 1 / constants.connectivity)
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import singledispatch
+from typing import Any
 
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
@@ -20,6 +19,7 @@ from ptne_env.laws import (
     Adaptive,
     AdaptiveGrounded,
     ContactRelay,
+    CorollaryOne,
     Grounded,
     Law,
     ProjectedGradient,
@@ -28,69 +28,13 @@ from ptne_env.laws import (
     Static,
 )
 from ptne_env.shared.arrays import FloatArray, IntArray
-from ptne_env.theory.closed_loop import last_modes
-from ptne_env.theory.constants import (
-    ZERO,
-    MonotonicityConstants,
-    gain_bound,
-    jacobian_at_equilibrium,
-    monotonicity_constants,
-)
-from ptne_env.world.graphs import Graph, union
-from ptne_env.world.world import World
-
-
-@dataclass(frozen=True)
-class ProblemConstants(MonotonicityConstants):
-    """The numbers of a scenario that conditions use: the constants of its game, its graphs and its clock.
-
-    Attributes:
-        jacobian: dF, shape (n, n); at x* unless F is affine.
-        owners: the player that owns each component, shape (n,).
-        graphs: the modes of the topology.
-        recurring: the graphs whose links act again and again as s → ∞: the union of all modes on the transformed clock,
-            each mode that may be the last on the physical clock (docs/errata.md, 2).
-    """
-
-    jacobian: FloatArray
-    owners: IntArray
-    graphs: tuple[Graph, ...]
-    recurring: tuple[Graph, ...]
-
-    @property
-    def num_players(self) -> int:
-        """N."""
-        return self.graphs[0].num_players
-
-    @property
-    def connectivity(self) -> float:
-        """The smallest λ2 over the modes; exactly 0 where a mode is disconnected."""
-        return min(graph.algebraic_connectivity for graph in self.graphs)
-
-    @property
-    def largest_degree(self) -> float:
-        """The largest Σ_j a_ij over players and modes."""
-        return max(float(graph.laplacian.diagonal().max()) for graph in self.graphs)
-
-
-def problem_constants(world: World) -> ProblemConstants:
-    """The numbers of ``world`` that conditions use; for a family of games, those of its representative member."""
-    game, topology = world.game, world.topology
-    recurring = [topology.union]
-    if not topology.is_fixed and topology.clock == "physical":  # one mode is the last before T
-        recurring = [topology.graphs[mode] for mode in last_modes(topology, world.scenario.deadline)]
-    return ProblemConstants(
-        **vars(monotonicity_constants(game)),
-        jacobian=jacobian_at_equilibrium(game),
-        owners=game.owners,
-        graphs=tuple(topology.graphs),
-        recurring=tuple(recurring),
-    )
+from ptne_env.theory.constants import ZERO, ProblemConstants, gain_bound
+from ptne_env.world.graphs import union
 
 
 @dataclass(frozen=True)
 class Condition:
-    """The condition of a law's theorem on a scenario.
+    """The outcome of the condition of a theorem on a scenario.
 
     Attributes:
         name: the condition in words or symbols, with the direction in which ``value`` is compared with ``bound``.
@@ -108,33 +52,21 @@ class Condition:
 
     @classmethod
     def above(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
-        """The condition value > bound."""
+        """Return the condition value > bound."""
         return cls(name, float(value), float(bound), bool(value > bound), exact)
 
     @classmethod
     def below(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
-        """The condition value < bound."""
+        """Return the condition value < bound."""
         return cls(name, float(value), float(bound), bool(value < bound), exact)
 
 
 def decisive(*conditions: Condition) -> Condition:
-    """All of several conditions as one: the first that fails, or else the last."""
+    """Return the condition that decides whether all of them hold: the first that fails, or else the last."""
     return next((condition for condition in conditions if not condition.holds), conditions[-1])
 
 
-@singledispatch
-def condition(law: Law, constants: ProblemConstants) -> Condition | None:  # noqa: ARG001 - laws with a theorem use them
-    """The condition of the theorem of ``law``, with the number that decides; ``None`` for a law without a theorem.
-
-    Args:
-        law: built for the scenario; its class, or a base class, selects the condition.
-        constants: of the scenario, see :func:`problem_constants`.
-    """
-    return None
-
-
 def _strongly_monotone(constants: ProblemConstants) -> Condition:
-    """Assumption 4."""
     return Condition.above("F is strongly monotone: ε > 0", constants.epsilon, 0.0, exact=constants.exact)
 
 
@@ -153,19 +85,17 @@ def _gain_condition(kappa: float, constants: ProblemConstants) -> Condition:
     return Condition.above("κ > (ι²/ε + ι)/λ2", kappa, bound, exact=constants.exact)
 
 
-# --- the condition of each law --------------------------------------------------------------------------------------
+# --- the condition of each law ---------------------------------------------------------------------------------------
 
 
-@condition.register
 def static_condition(law: Static, constants: ProblemConstants) -> Condition:
-    """κ > (ι²/ε + ι)/λ2, eq. (15) of the paper, for scaled costs with κ divided by the gradient gain.
+    """κ > (ι²/ε + ι)/λ2, eq. (15) of the paper; with scaled costs, κ divided by the gradient gain.
 
-    Of Corollary 1 too, whose convergence is asymptotic, not by the deadline.
+    It is the condition of Corollary 1 too, whose convergence is asymptotic, not by the deadline.
     """
     return _gain_condition(law.kappa / law.gradient_gain, constants)
 
 
-@condition.register
 def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
     """ε > 0, and the graphs that act as s → ∞ are (jointly) connected (Theorems 3 and 4); γ > 0 on all links."""
     connectivity = min(graph.algebraic_connectivity for graph in constants.recurring)
@@ -176,7 +106,6 @@ def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
     )
 
 
-@condition.register
 def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
     """κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, with λ the smallest eigenvalue of the grounded Laplacians.
 
@@ -194,7 +123,7 @@ def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
 
 
 def _grounded_connectivity(constants: ProblemConstants) -> float:
-    """The smallest eigenvalue of H_j = L without row and column j, plus diag(a_ij), over players j and modes."""
+    """Return the smallest eigenvalue of H_j = L without row and column j, plus diag(a_ij), over players j and modes."""
     if constants.connectivity == 0:
         return 0.0
     smallest = np.inf
@@ -206,7 +135,6 @@ def _grounded_connectivity(constants: ProblemConstants) -> float:
     return smallest
 
 
-@condition.register
 def adaptive_grounded_condition(law: AdaptiveGrounded, constants: ProblemConstants) -> Condition:
     """γ > 0, ε > 0 and every graph connected: with H the grounded Laplacian, V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
     return decisive(
@@ -216,7 +144,6 @@ def adaptive_grounded_condition(law: AdaptiveGrounded, constants: ProblemConstan
     )
 
 
-@condition.register
 def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConstants) -> Condition:
     """ρ = λ_max(M_α) < 1: every iteration then shrinks ‖𝐱 − 1⊗x*‖ by √ρ at least, on every sequence of modes.
 
@@ -236,7 +163,6 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
     return Condition.below("λ_max(M_α) < 1", float(np.linalg.eigvalsh(contraction)[-1]), 1.0, exact=constants.exact)
 
 
-@condition.register
 def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Condition:
     """A fixed graph, ε > 0, and ρ < 1 of gradient play with delays equal to hop counts, if no step is shortened."""
     together = union(constants.graphs)
@@ -250,7 +176,6 @@ def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Conditi
     return decisive(_fixed_graph(constants), _strongly_monotone(constants), settles)
 
 
-@condition.register
 def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -> Condition:
     """h/α > (ι²/ε + ι)/λ2 on a fixed graph, and h Σ_j a_ij < 1, once the rows of dF are identified.
 
@@ -265,7 +190,6 @@ def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -
     )
 
 
-@condition.register
 def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition:  # noqa: ARG001 - it has no gain
     """ε > 0, ρ(B) < 1 with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j and G = dF, and all links act again and again.
 
@@ -280,11 +204,36 @@ def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition
     )
 
 
+CONDITIONS: dict[type[Law], Callable[[Any, ProblemConstants], Condition]] = {
+    Static: static_condition,
+    CorollaryOne: static_condition,
+    Adaptive: adaptive_condition,
+    Grounded: grounded_condition,
+    AdaptiveGrounded: adaptive_grounded_condition,
+    ProjectedGradient: projected_gradient_condition,
+    RoutedUnknown: routed_condition,
+    ProximalBestResponse: proximal_condition,
+    ContactRelay: relay_condition,
+}
+"""The condition of each law that has a theorem, by its class. A subclass is another law and needs its own entry."""
+
+
+def condition(law: Law, constants: ProblemConstants) -> Condition | None:
+    """Return the condition of the theorem of a law, with the number that decides; ``None`` without a theorem.
+
+    Args:
+        law: built for the scenario.
+        constants: those of the scenario, see :func:`~ptne_env.theory.problem_constants`.
+    """
+    of_law = CONDITIONS.get(type(law))
+    return None if of_law is None else of_law(law, constants)
+
+
 # --- the loops of laws that copy -------------------------------------------------------------------------------------
 
 
 def delayed_play_radius(jacobian: FloatArray, delays: IntArray, step: float) -> float:
-    """Spectral radius of e_c(k+1) = e_c(k) − η Σ_b dF_cb e_b(k − d_cb).
+    """Return the spectral radius of e_c(k+1) = e_c(k) − η Σ_b dF_cb e_b(k − d_cb).
 
     It is the loop of :class:`~ptne_env.laws.RoutedUnknown` on a fixed graph after the first steps, where no bound
     becomes or ceases to be active: below 1 exactly where the law settles. The estimates of the other players are late
@@ -304,13 +253,13 @@ def delayed_play_radius(jacobian: FloatArray, delays: IntArray, step: float) -> 
 
 
 def coupling_radius(jacobian: FloatArray, owners: IntArray) -> float:
-    """ρ(B) with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j, G = dF; below 1, best-response play settles for every delay.
+    """Return ρ(B) with B_ij = ‖G_ii⁻¹ G_ij‖, G = dF; below 1, best-response play settles for every delay.
 
-    With v > 0 the Perron vector, B v ≤ ρ v: best responses to copies with errors ‖e_j‖ ≤ r v_j, however late, have
-    errors ‖e_i‖ ≤ ρ r v_i. As soon as all older copies are gone, all errors are within the smaller box, and so on: the
-    errors vanish for delays that change and differ, as long as every copy is renewed again and again (D. P. Bertsekas
-    and J. N. Tsitsiklis, "Parallel and Distributed Computation", 1989, Section 6.2). With an owner per component, so do
-    those of gradient play with steps η dF_cc ≤ 1.
+    B_ii is 0. With v > 0 the Perron vector, B v ≤ ρ v: best responses to copies with errors ‖e_j‖ ≤ r v_j, however
+    late, have errors ‖e_i‖ ≤ ρ r v_i. As soon as all older copies are gone, all errors are within the smaller box, and
+    so on: the errors vanish for delays that change and differ, as long as every copy is renewed again and again (D. P.
+    Bertsekas and J. N. Tsitsiklis, "Parallel and Distributed Computation", 1989, Section 6.2). With an owner per
+    component, so do those of gradient play with steps η dF_cc ≤ 1.
 
     Args:
         jacobian: dF, shape (n, n).

@@ -1,20 +1,24 @@
-"""The constants of a game, strong monotonicity ε and Lipschitz continuity ι, and the bounds that follow from them."""
+"""Constants of a game, strong monotonicity ε and Lipschitz continuity ι, and what else theorems ask of a scenario."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ptne_env.games import Game
-from ptne_env.shared.arrays import FloatArray, require_positive
+from ptne_env.shared.arrays import FloatArray, IntArray, require_positive
+from ptne_env.world.graphs import Graph
+from ptne_env.world.switching import SwitchingTopology
+from ptne_env.world.world import World
 
 ZERO = 1e-10
-"""Below this fraction of a matrix's norm a number counts as zero: kernels of disconnected graphs are rounding."""
+"""Fraction of a matrix's norm below which a number counts as 0; kernels of disconnected graphs are 0 up to rounding."""
 
 SAMPLES = 256
-"""Points behind constants that are not exact."""
+"""Number of points from which constants that are not exact are computed."""
 
 
 @dataclass(frozen=True)
@@ -45,18 +49,18 @@ class MonotonicityConstants:
 
 
 def monotonicity_constants(game: Game, *, radius: float = 10.0) -> MonotonicityConstants:
-    """ε and ι of Assumption 4: exact for affine F, sampled bounds otherwise.
+    """Return ε and ι of Assumption 4, exactly for affine F and from samples otherwise.
 
     ε = λ_min of the symmetric part of dF, ι_F = ‖dF‖₂, and for **F** the largest ‖rows of player i in dF‖₂, since
     block i of **F** depends on x^i alone.
 
     Args:
         game: the game.
-        radius: half-width of the box around x* from which points are drawn when F is not affine, and projected into
-            the game's box.
+        radius: half-width of the box around x* from which points are drawn when F is not affine. They are projected
+            into the game's box.
 
     Raises:
-        ValueError: when radius ≤ 0.
+        ValueError: when ``radius`` is not positive.
     """
     require_positive("radius", radius)
     points = game.nash_equilibrium[:, None]
@@ -77,7 +81,7 @@ def monotonicity_constants(game: Game, *, radius: float = 10.0) -> MonotonicityC
 
 
 def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) -> float:
-    """(ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (its eq. (15)); infinite when ε or λ2 is not positive."""
+    """Return (ι²/ε + ι)/λ2, which κ must exceed in Theorem 1 (eq. (15)); infinite unless ε and λ2 are positive."""
     epsilon, iota = constants.epsilon, constants.iota
     if epsilon <= 0 or algebraic_connectivity <= 0:
         return math.inf
@@ -85,8 +89,66 @@ def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) 
 
 
 def jacobian_at_equilibrium(game: Game) -> FloatArray:
-    """dF(x*), shape (n, n)."""
+    """Return dF(x*), shape (n, n)."""
     return game.jacobian(game.nash_equilibrium[:, None])[:, :, 0]
+
+
+@dataclass(frozen=True)
+class ProblemConstants(MonotonicityConstants):
+    """The numbers of a scenario that conditions of theorems use.
+
+    Attributes:
+        jacobian: dF, shape (n, n); at x* unless F is affine.
+        owners: the player that owns each component, shape (n,).
+        graphs: the modes of the topology.
+        recurring: the graphs whose links act again and again as s → ∞: the union of all modes on the transformed clock,
+            each mode that may be the last on the physical clock (docs/errata.md, 2).
+    """
+
+    jacobian: FloatArray
+    owners: IntArray
+    graphs: tuple[Graph, ...]
+    recurring: tuple[Graph, ...]
+
+    @property
+    def num_players(self) -> int:
+        """N."""
+        return self.graphs[0].num_players
+
+    @property
+    def connectivity(self) -> float:
+        """The smallest λ2 over the modes; exactly 0 where a mode is disconnected."""
+        return min(graph.algebraic_connectivity for graph in self.graphs)
+
+    @property
+    def largest_degree(self) -> float:
+        """The largest Σ_j a_ij over players and modes."""
+        return max(float(graph.laplacian.diagonal().max()) for graph in self.graphs)
+
+
+def problem_constants(world: World) -> ProblemConstants:
+    """Return the constants of a world; of a family of games, those of its representative."""
+    game, topology = world.game, world.topology
+    recurring = [topology.union]
+    if not topology.is_fixed and topology.clock == "physical":  # one mode is the last before T
+        recurring = [topology.graphs[mode] for mode in last_modes(topology, world.scenario.deadline)]
+    return ProblemConstants(
+        **vars(monotonicity_constants(game)),
+        jacobian=jacobian_at_equilibrium(game),
+        owners=game.owners,
+        graphs=tuple(topology.graphs),
+        recurring=tuple(recurring),
+    )
+
+
+def last_modes(topology: SwitchingTopology, deadline: float) -> Sequence[int]:
+    """Return the modes that may act as t → T: of a fixed graph, or of a topology on the physical clock."""
+    if topology.is_fixed:
+        return (0,)
+    if topology.is_random:
+        return range(len(topology.graphs))
+    last_switch = float(np.max(topology.switches(0.0, deadline), initial=0.0))
+    return (int(topology.schedule((last_switch + deadline) / 2).modes),)
 
 
 def _largest_norm(matrices: FloatArray) -> float:

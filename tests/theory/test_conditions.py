@@ -6,9 +6,9 @@ from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
 from sample_laws import condition_on
 from worlds import fixed_part
 
-from ptne_env import CATALOGUE, get_scenario, laws, theory
+from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
 from ptne_env.perception.encoder import make_encoder
-from ptne_env.shared.parts import PARTS
+from ptne_env.shared.parts import PARTS, resolve
 from ptne_env.world.world import World
 
 RANDOM = range(200 if SOAK else 6)
@@ -37,17 +37,18 @@ def test_conditions_are_decided_by_the_constants_of_the_theory():
 
 
 @pytest.mark.parametrize("scenario", ["energy", "non-quadratic"])
-def test_a_law_of_a_user_registers_its_condition(scenario):
-    class Mine(laws.ZeroInput):
+def test_the_condition_of_a_new_law_is_one_entry_and_never_that_of_its_base_class(scenario, monkeypatch):
+    class Mine(laws.Static):
         """A law with a theorem of its own."""
 
-    @theory.condition.register
-    def condition_of_mine(law: Mine, constants: theory.ProblemConstants) -> theory.Condition:
-        return theory.Condition.below("exact", float(not constants.exact), 0.5)
-
     world = World(CATALOGUE[scenario])
-    found = theory.condition(theory.build_law(Mine, world), theory.problem_constants(world))
-    assert found.holds == world.game.is_affine
+    law, constants = theory.build_law(Mine, world), theory.problem_constants(world)
+    assert theory.condition(law, constants) is None
+    assert theory.certify(CATALOGUE[scenario], Mine).condition is None
+    mine = lambda law, constants: theory.Condition.below("exact", float(not constants.exact), law.kappa / 4)  # noqa: E731
+    monkeypatch.setitem(theory.CONDITIONS, Mine, mine)
+    assert theory.condition(law, constants).holds == world.game.is_affine
+    assert theory.certify(CATALOGUE[scenario], Mine).condition.bound == law.kappa / 4
     assert condition_on(scenario, laws.ZeroInput) is None
 
 
@@ -60,21 +61,25 @@ def test_only_links_that_act_again_and_again_count_as_s_grows():
     assert not condition_on("energy-switching-transformed", laws.Static).holds
 
 
-LAWS = [law for law in PARTS if law.startswith("law:") and law != "law:random"]
-WITHOUT_THEOREM = {"law:zero-input", "law:oracle", "law:observer-relay", "law:residual-coder"}
-
-
 @pytest.mark.parametrize("scenario", ["energy", "energy-switching", "non-quadratic", "ev-charging"])
-@pytest.mark.parametrize("law", LAWS)
-def test_every_law_has_a_condition_on_every_scenario_or_none_at_all(law, scenario):
-    found = condition_on(scenario, law)
-    if law in WITHOUT_THEOREM:
-        assert found is None
-        return
-    assert found.name
-    assert found.holds in (True, False)
+@pytest.mark.parametrize("law", theory.CONDITIONS)
+def test_every_theorem_has_its_condition_on_every_scenario(law, scenario):
+    condition = condition_on(scenario, law)
+    assert condition.name
+    assert condition.holds in (True, False)
     if scenario == "non-quadratic":
-        assert not found.holds  # F is not monotone there
+        assert not condition.holds  # F is not monotone there
+
+
+LAWS = [law for law in PARTS if law.startswith("law:") and law != "law:random"]
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_has_a_certificate_and_every_theorem_is_of_a_law(law):
+    certificate = theory.certify(get_scenario("energy-switching", steps=50), FactorySpec.of(law))
+    assert (certificate.condition is not None) == (resolve(law) in theory.CONDITIONS)
+    assert (certificate.rate is None) == any("no rate" in note for note in certificate.notes)
+    assert set(theory.CONDITIONS) <= {resolve(law) for law in LAWS}
 
 
 @pytest.mark.parametrize(("step", "holds"), [(0.2, True), (0.3, False), (3.0, False)])
