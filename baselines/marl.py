@@ -40,7 +40,7 @@ import publish
 from scipy.stats import trim_mean
 
 from ptne_env import PolicySpec, VectorParallelEnv
-from ptne_env.evaluation.run import compare
+from ptne_env.evaluation.comparison import compare
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
 from ptne_env.suites import get_suite

@@ -17,7 +17,7 @@ from scipy.optimize import differential_evolution
 
 from ptne_env import FactorySpec, PolicySpec
 from ptne_env.evaluation import POLICIES
-from ptne_env.evaluation.run import compare
+from ptne_env.evaluation.comparison import compare
 from ptne_env.execution import Runner, Workers
 from ptne_env.suites import get_suite
 

@@ -14,7 +14,7 @@ from scipy import stats
 
 from ptne_env import CATALOGUE
 from ptne_env.evaluation import ENTERED, POLICIES, EpisodeSet
-from ptne_env.evaluation.jobs import Job
+from ptne_env.evaluation.comparison import Job
 from ptne_env.evaluation.tracks import compared_tracks
 from ptne_env.execution import Runner
 from ptne_env.suites import get_suite

@@ -13,7 +13,7 @@ from ptne_env.cli import options
 from ptne_env.cli.app import Command, ExitCode, app
 from ptne_env.cli.console import STDOUT, check_writable, console, progress, say, write_json
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
-from ptne_env.evaluation.run import EPISODES
+from ptne_env.evaluation.comparison import EPISODES
 from ptne_env.execution import Runner, Workers
 from ptne_env.report.page import results_page
 from ptne_env.report.terminal import answer_tables, result_tables

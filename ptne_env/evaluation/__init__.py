@@ -1,12 +1,13 @@
 """Comparisons of policies.
 
-- ``run``: ``evaluate``, which makes ``jobs``, one per policy and track, and collects their ``results``
+- ``comparison``: ``evaluate``, which makes jobs, one per policy and track; ``results``: what they give together
 - ``entries``: policies by name; ``tracks``, ``episodes``: what they play, and from which seeds
 - ``rollout``: plays and records; ``audit``: whether a policy decides each row from that row alone
 - ``metrics``, ``statistics``: numbers of an episode, and means with intervals
 - ``provenance``: versions, hashes and the arithmetic of the machine
 """
 
+from ptne_env.evaluation.comparison import evaluate as evaluate
 from ptne_env.evaluation.entries import COMPARED as COMPARED
 from ptne_env.evaluation.entries import ENTERED as ENTERED
 from ptne_env.evaluation.entries import POLICIES as POLICIES
@@ -20,6 +21,5 @@ from ptne_env.evaluation.metrics import register as register
 from ptne_env.evaluation.results import Results as Results
 from ptne_env.evaluation.rollout import Rollout as Rollout
 from ptne_env.evaluation.rollout import rollout as rollout
-from ptne_env.evaluation.run import evaluate as evaluate
 from ptne_env.evaluation.tracks import Teammates as Teammates
 from ptne_env.evaluation.tracks import Track as Track

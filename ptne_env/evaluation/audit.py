@@ -1,4 +1,4 @@
-"""The audit of decisions: each row of a batch is decided from that row and its own memory alone."""
+"""The audit of decisions, which must follow from a row of a batch and its own memory alone."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from ptne_env.perception.policy import Policy, PolicyError, decision
 from ptne_env.shared.arrays import Float32Array, IntArray
 
 WITNESSES = 8
-"""Most witnesses of a thorough audit."""
+"""The most witnesses of a thorough audit."""
 
 NOT_ROW_WISE = (
     "its decisions are not row-wise: with other rows in the batch it decides differently. A decision may depend on the "
     "player's own observation and memory alone, and must repeat bit for bit, except for rounding that depends on the "
     "number of rows"
 )
-"""Reason of a failure: the witness received other rows and decided differently."""
+"""The reason of a failure where the witness received other rows and decided differently."""
 
 USES_OTHER_LINKS = (
     "it uses links of other players: with the neighbours of one player alone it decides differently for that player. "
     "A decision may depend on the player's own row of layout.neighbours alone"
 )
-"""Reason of a failure: the witness was built from the knowledge of one player, and the other witnesses agreed."""
+"""The reason where the witness was built from the knowledge of one player, and the other witnesses agreed."""
 
 OWN_LINKS_EPISODES = 16
-"""Most episodes of a witness that was built from the knowledge of one player."""
+"""The most episodes of a witness that was built from the knowledge of one player."""
 
 
 class AuditError(PolicyError):
@@ -37,7 +37,7 @@ class AuditError(PolicyError):
 
 
 class Witness:
-    """A second, fresh policy that receives a sample of the rows and must decide the same, bit for bit.
+    """A second policy that receives a sample of the rows, and must make the same decisions bit for bit.
 
     It runs in lockstep with the policy that is measured, and gets no row of a teammate. So decisions that depend on
     the observations of other players, or on anything else that the rows of a batch share, differ.
@@ -45,7 +45,7 @@ class Witness:
     Args:
         policy: a fresh policy.
         rows: indices of the rows of the batch that it receives, in its own order.
-        reason: of the failure when a decision differs.
+        reason: the reason of the failure when a decision differs.
         fills: whether it receives a batch of full size, with the rows in their places and copies of them in all others.
             Libraries of linear algebra round a row otherwise in a batch of another size, and in another place.
     """
@@ -56,11 +56,11 @@ class Witness:
         self._is_first = True
 
     def compare(self, observations: Float32Array, actions: npt.NDArray[Any]) -> None:
-        """Let the witness decide, and compare.
+        """Compare the decisions of the witness with those of the policy that is measured.
 
         Args:
-            observations: of the whole batch, shape (R, size).
-            actions: of the policy that is measured, shape (R, action size).
+            observations: the observations of the whole batch, shape (R, size).
+            actions: the actions of the policy that is measured, shape (R, action size).
 
         Raises:
             AuditError: when a decision differs.
@@ -78,36 +78,31 @@ class Witness:
 
 
 def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray]:
-    """The rows of each witness, chosen afresh: no policy can know them.
+    """Draw the rows of each witness, which no policy can know.
 
     Every witness gets one player of every episode, and over the episodes one player after the other. So with as many
     episodes as players, every player has a witness in some episode.
 
     Args:
-        episodes: of the batch, whose row e · players + p is player p of episode e.
-        players: number of players for which the policy decides.
-        thorough: whether there are as many witnesses as players, up to :data:`WITNESSES`, and not one.
+        episodes: the number of episodes in the batch, whose row e · players + p is player p of episode e.
+        players: the number of players for which the policy decides.
+        thorough: whether there are as many witnesses as players, up to :data:`WITNESSES`, instead of one.
     """
     generator = np.random.default_rng()
     witnesses = min(players, WITNESSES) if thorough else 1
-    chosen, order = generator.permutation(episodes), generator.permutation(players)
+    shuffled, order = generator.permutation(episodes), generator.permutation(players)
     first = np.arange(episodes) * witnesses  # an episode goes on where the one before ends
-    return [chosen * players + order[(first + witness) % players] for witness in range(witnesses)]
+    return [shuffled * players + order[(first + witness) % players] for witness in range(witnesses)]
 
 
 def rows_of_one(episodes: int, players: int) -> tuple[int, IntArray]:
-    """The place of one player among those for which the policy decides, chosen afresh, and some of its rows.
-
-    Args:
-        episodes: of the batch, as for :func:`sample_rows`.
-        players: number of players for which the policy decides.
-    """
+    """Draw one of ``players`` for which the policy decides; return its place among them, and some of its rows."""
     generator = np.random.default_rng()
     place = int(generator.integers(players))
     return place, generator.permutation(episodes)[:OWN_LINKS_EPISODES] * players + place
 
 
 def with_links_of(layout: ObservationLayout, player: int) -> ObservationLayout:
-    """A layout with the row of one player alone in ``neighbours``: the slots of all others are padded."""
+    """Return a layout that knows the neighbours of one player alone; the slots of all others are padded."""
     rows = tuple(row if index == player else (index,) * layout.slots for index, row in enumerate(layout.neighbours))
     return replace(layout, neighbours=rows)

@@ -1,4 +1,4 @@
-"""Episode sets: the seeded initial states that every policy is run from. They never depend on a policy."""
+"""Episode sets: seeded initial states, which never depend on the policy that is run from them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ptne_env.world.world import World
 Split: TypeAlias = Literal["train", "validation", "test"]
 
 _WORD = 32
-"""Bits of a seed, and of an episode's number, in the seed of an episode."""
+"""Number of bits that a seed, and the number of an episode, take in the seed of an episode."""
 
 _POOL = 4
-"""Words to which numpy's ``SeedSequence`` pads its entropy when a spawn key follows."""
+"""Number of words to which numpy's ``SeedSequence`` pads its entropy when a spawn key follows."""
 
 
 def episode_seed(seed: int, episode: int, split: Split = "test") -> int:
-    """The seed of one episode; ``env.reset(seed=episode_seed(S, k))`` starts where episode k of a comparison does.
+    """Return the seed of episode k, with which ``env.reset(seed=...)`` starts where a comparison does.
 
     Splits share no seed, and the small seeds that people choose by hand belong to ``"train"``. So policies are tested
     on other episodes than those they were trained on.
@@ -34,7 +34,7 @@ def episode_seed(seed: int, episode: int, split: Split = "test") -> int:
 
 
 def track_seed(suite: str, track: str, split: Split, seed: int, episode: int) -> int:
-    """The seed of one episode of a track of a suite; ``env.reset(seed=...)`` starts where the episode does.
+    """Return the seed of one episode of a suite's track; ``env.reset(seed=...)`` starts where the episode does.
 
     It is the number whose ``SeedSequence`` is ``SeedSequence([seed, episode], spawn_key=(a, b, c))``, where a, b and c
     are the first four bytes, the highest first, of the SHA-256 of the names of suite, track and split: numpy lays out
@@ -62,11 +62,11 @@ class EpisodeSet:
     """A number of seeded episodes.
 
     Attributes:
-        count: number of episodes.
-        seed: of the set.
+        count: the number of episodes.
+        seed: the seed of the set.
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
-        track: names of the suite and the track that the seeds depend on (:func:`track_seed`); ``None`` where the seeds
-            are the same in every scenario (:func:`episode_seed`).
+        track: the names of the suite and the track on which the seeds depend (:func:`track_seed`); ``None`` where the
+            seeds are the same in every scenario (:func:`episode_seed`).
 
     Raises:
         ValueError: when the split is unknown or a number is out of range.
@@ -82,13 +82,13 @@ class EpisodeSet:
         _require(self.split, self.seed, self.count - 1)
 
     def episode_seed(self, episode: int) -> int:
-        """The seed with which an environment of the scenario replays an episode: ``env.reset(seed=...)``."""
+        """Return the seed with which an environment of the scenario replays an episode: ``env.reset(seed=...)``."""
         if self.track is None:
             return episode_seed(self.seed, episode, self.split)
         return track_seed(*self.track, self.split, self.seed, episode)
 
     def initial_state(self, world: World) -> State:
-        """The initial state of all episodes, with games, estimates and randomness drawn.
+        """Draw the initial state of all episodes, with games, estimates and randomness.
 
         Raises:
             ValueError: when a drawn game is not strongly monotone.

@@ -1,7 +1,7 @@
-"""Metrics: each declared once, with its name, meaning, unit, direction, range, and how it follows from a rollout.
+"""Metrics, which are functions of the series that a rollout records.
 
-A metric is a function of the series that a rollout records. Tables, CSV files, pages, ``ptne list`` and docs read
-:data:`METRICS`. :func:`register` adds a metric.
+A metric is declared once, with its meaning, unit, direction and range. Tables, CSV files, pages, ``ptne list`` and docs
+read :data:`METRICS`. :func:`register` adds a metric.
 """
 
 from __future__ import annotations
@@ -14,24 +14,22 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from ptne_env.evaluation.rollout import Rollout, regret_instants
+from ptne_env.evaluation.statistics import STATISTICS
 from ptne_env.perception.policy import describe
 from ptne_env.shared.arrays import FloatArray, ordered_sum
 from ptne_env.world import distances
 
 MOST_DIGITS = 12.0
-"""The digits of a distance at the floor: no more are counted."""
-
-Statistic: TypeAlias = Literal["mean", "cvar"]
-"""Over episodes: the mean, or the mean of the worst tenth."""
+"""The digits of a distance at the floor; no more are counted."""
 
 Block: TypeAlias = Literal["How close", "At what cost"]
-"""The tables in which metrics stand."""
+"""The table in which a metric stands."""
 
-_CHOICES = {"direction": ("higher", "lower", None), "block": get_args(Block), "statistic": get_args(Statistic)}
+_CHOICES = {"direction": ("higher", "lower", None), "block": get_args(Block), "statistic": STATISTICS}
 
 
 def number(value: float | None) -> str:
-    """A number with three significant digits, or a dash where there is none."""
+    """Format a number with three significant digits; a dash stands for none."""
     if value is None:
         return "–"
     if not math.isfinite(value):
@@ -49,16 +47,17 @@ class Metric:
     """A number per episode, or a statistic of such numbers.
 
     Attributes:
-        name: key of records, CSV and JSON files.
-        heading: of a column.
-        meaning: in one sentence or phrase.
+        name: the key in records, CSV and JSON files.
+        heading: the heading of a column.
+        meaning: the meaning, in a sentence or phrase.
         direction: ``"higher"`` or ``"lower"``, whichever is better; ``None`` where neither is.
         block: the table in which it stands.
-        value: of a rollout, shape (B,), NaN in an episode without a value; ``None`` where it follows from others.
-        unit: empty for a pure number.
+        value: the function from a rollout to numbers, shape (B,), NaN in an episode without a value; ``None`` where
+            the metric follows from another one.
+        unit: the unit; empty for a pure number.
         range: the least and the largest value that an episode can have.
-        source: the metric whose episodes it summarises; its own where left out.
-        statistic: over episodes: the mean, or the mean of the worst tenth ("cvar").
+        source: the metric whose episodes it summarises; the metric itself if left out.
+        statistic: the name of the statistic over episodes, one of :data:`~ptne_env.evaluation.statistics.STATISTICS`.
         is_timing: whether it is a measured time, which another run does not repeat; such metrics are kept apart.
 
     Raises:
@@ -74,14 +73,14 @@ class Metric:
     unit: str = ""
     range: tuple[float, float] = (-math.inf, math.inf)
     source: str = ""
-    statistic: Statistic = "mean"
+    statistic: str = "mean"
     is_timing: bool = False
 
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():
-            if (given := getattr(self, name)) not in choices:
+            if (value := getattr(self, name)) not in choices:
                 expected = " or ".join(map(repr, choices))
-                raise ValueError(f"the {name} of metric {self.name!r} is {expected}, got {given!r}")
+                raise ValueError(f"the {name} of metric {self.name!r} is {expected}, got {value!r}")
         if not (self.value is None or callable(self.value)):
             raise ValueError(f"the value of metric {self.name!r} is a function of a Rollout, got {self.value!r}")
         object.__setattr__(self, "source", self.source or self.name)
@@ -97,10 +96,9 @@ class Metric:
         return self.value is not None and not self.value.__module__.startswith("ptne_env.")
 
     def admits(self, values: FloatArray) -> bool:
-        """Whether all values, NaN apart, lie in the range, up to rounding."""
+        """Return whether all values, NaN apart, lie in the range, up to rounding."""
         low, high = self.range
-        found = values[~np.isnan(values)]
-        return bool(((found >= low - 1e-6) & (found <= high + 1e-6)).all())
+        return not ((values < low - 1e-6) | (values > high + 1e-6)).any()
 
 
 METRICS: dict[str, Metric] = {}
@@ -125,26 +123,28 @@ def register(metric: Metric) -> Metric:
 
 
 def measure(rollout: Rollout) -> dict[str, FloatArray]:
-    """Every metric that follows from a rollout, by name, one value per episode: shape (B,).
+    """Compute every metric of a rollout, by name: one value per episode, shape (B,).
 
     Raises:
-        ValueError: naming the metric, when its function raises or returns something else.
+        ValueError: when the function of a metric raises or returns something else; the message names the metric.
     """
-    measured, shape = {}, rollout.diverged.shape
+    values, shape = {}, rollout.diverged.shape
     for name, metric in METRICS.items():
         if metric.value is None:
             continue
         try:
-            measured[name] = np.asarray(metric.value(rollout), dtype=np.float64)
+            values[name] = np.asarray(metric.value(rollout), dtype=np.float64)
         except Exception as error:
             raise ValueError(f"metric {name!r} raised {describe(error)}") from error
-        if (found := measured[name].shape) != shape:
-            raise ValueError(f"metric {name!r} must return one number per episode, shape {shape}, got shape {found}")
-    return measured
+        if values[name].shape != shape:
+            raise ValueError(
+                f"metric {name!r} must return one number per episode, shape {shape}, got shape {values[name].shape}"
+            )
+    return values
 
 
 def settling_time(rollout: Rollout) -> FloatArray:
-    """First instant after which strategies stay within the paper's 0.5 % to the end; NaN where they end outside."""
+    """Return the instant from which on strategies stay within the paper's 0.5 %; NaN where they end outside."""
     times, outside = rollout.world.clock.t, rollout["strategy_distance"] > distances.SUCCESS_DISTANCE
     last_outside = np.where(outside.any(axis=0), len(times) - 1 - outside[::-1].argmax(axis=0), -1)
     settled = last_outside < len(times) - 1
@@ -162,7 +162,7 @@ def _digits_after_hold(rollout: Rollout) -> FloatArray:
 
 
 def _mean_regret(rollout: Rollout) -> FloatArray:
-    """(1/T)∫ regret dt over the regret of the start, by the trapezoid rule; NaN where nothing is to be regretted."""
+    """Return (1/T)∫ regret dt over the regret of the start, by the trapezoid rule; NaN where that regret is 0."""
     times, regrets = rollout.world.clock.t[regret_instants(rollout.world)], rollout["regret"]
     mean = ordered_sum(np.diff(times)[:, None] * (regrets[1:] + regrets[:-1]) / 2) / times[-1]
     return np.divide(mean, regrets[0], out=np.full_like(mean, np.nan), where=regrets[0] > 0)

@@ -1,4 +1,4 @@
-"""Provenance: hashes of content and files, versions of libraries, and the arithmetic of this machine."""
+"""Provenance of results: hashes of content and files, versions of libraries, and the arithmetic of this machine."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LIBRARIES = ("numpy", "scipy", "networkx")
 
 
 def canonical_json(value: Any) -> str:
-    """JSON with sorted keys, without spaces, and without the keys whose value is ``None``."""
+    """Return JSON with sorted keys, without spaces, and without the keys whose value is ``None``."""
 
     def without_none(item: Any) -> Any:
         if isinstance(item, Mapping):
@@ -31,39 +31,39 @@ def canonical_json(value: Any) -> str:
 
 
 def content_hash(value: Any) -> str:
-    """SHA-256 of :func:`canonical_json`, in hexadecimal."""
+    """Return the SHA-256 of :func:`canonical_json`, in hexadecimal."""
     return sha256(canonical_json(value).encode()).hexdigest()
 
 
 def file_hash(path: str | Path) -> str | None:
-    """SHA-256 of a file, in hexadecimal; ``None`` where there is none."""
+    """Return the SHA-256 of a file, in hexadecimal; ``None`` where there is none."""
     path = Path(path)
     return sha256(path.read_bytes()).hexdigest() if path.is_file() else None
 
 
 def versions(others: Iterable[str] = ()) -> dict[str, str]:
-    """Versions of the library, of :data:`LIBRARIES`, and of those of ``others`` that are installed."""
-    found = {"ptne_env": __version__, **{library: metadata.version(library) for library in LIBRARIES}}
+    """Return the versions of the library, of :data:`LIBRARIES`, and of those of ``others`` that are installed."""
+    installed = {"ptne_env": __version__, **{library: metadata.version(library) for library in LIBRARIES}}
     for library in others:
         try:
-            found[library] = metadata.version(library)
+            installed[library] = metadata.version(library)
         except metadata.PackageNotFoundError:
             continue
-    return found
+    return installed
 
 
 @cache
 def arithmetic() -> dict[str, str]:
-    """What the last bits of results depend on: the processor, numpy's SIMD extensions and the kernels of BLAS.
+    """Return what the last bits of results depend on: the processor, numpy's SIMD extensions and the kernels of BLAS.
 
     The kernels are unknown without the package threadpoolctl.
     """
     simd = np.show_config(mode="dicts").get("SIMD Extensions", {})
-    found = {"machine": platform.machine(), "simd": " ".join([*simd.get("baseline", ()), *simd.get("found", ())])}
+    machine = {"machine": platform.machine(), "simd": " ".join([*simd.get("baseline", ()), *simd.get("found", ())])}
     try:
         from threadpoolctl import threadpool_info
     except ImportError:
-        return found | {"blas": "unknown"}
+        return machine | {"blas": "unknown"}
     import scipy.linalg  # noqa: F401 - loads the BLAS of scipy, so that it is listed
 
     kernels = {
@@ -71,4 +71,4 @@ def arithmetic() -> dict[str, str]:
         for library in threadpool_info()
         if library["user_api"] == "blas"
     }
-    return found | {"blas": ", ".join(sorted(kernels))}
+    return machine | {"blas": ", ".join(sorted(kernels))}

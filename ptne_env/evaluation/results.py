@@ -1,4 +1,4 @@
-"""Results of a comparison or suite: samples per track and policy, their means with intervals, ``results.json``."""
+"""The results of a comparison or suite: samples per track and policy, and their means with intervals."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.metrics import METRICS, number
 from ptne_env.evaluation.provenance import arithmetic, content_hash, versions
-from ptne_env.evaluation.statistics import Summary, estimate, tail_values
+from ptne_env.evaluation.statistics import STATISTICS, Summary, estimate
 from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import DamagedFileError, read_json
 
 FORMAT = 7
-"""Version of the meaning of ``results.json``; a file of another one is refused."""
+"""The version of ``results.json``; a file of another version is refused."""
 
 LARGEST_FILE = 32 * 2**20
 """Size in bytes above which a file is refused as a file of results."""
 
 _FORMULA = re.compile(r"(^|[,;\t]\s*)([=+\-@\t\r])")
-"""The beginning of a text, or of a part of it, that a spreadsheet reads as a formula."""
+"""What a spreadsheet takes for the beginning of a formula, at the beginning of a text or of a part of it."""
 
 Record: TypeAlias = dict[str, Any]
 """Keys: track, policy, metric, mean, low, high, episodes; the numbers are ``None`` where no episode has a value."""
@@ -42,11 +42,11 @@ Samples: TypeAlias = dict[str, FloatArray]
 """Per metric, shape (training seeds, episodes), NaN where an episode has no value; a timing is repeated."""
 
 Place: TypeAlias = tuple[str, str]
-"""Names of a track and of a policy."""
+"""The names of a track and of a policy."""
 
 
 def standing(digits: Summary | None, mean_regret: Summary | None) -> tuple[float, float]:
-    """The key by which policies are ranked, the least first: digits to two decimals, then the mean regret.
+    """Return the key by which policies are ranked, the least first: digits to two decimals, then the mean regret.
 
     So of several policies with all twelve digits, the one that was fast stands first. No value is the worst.
     """
@@ -59,14 +59,15 @@ class Results:
     """The outcome of a comparison or of a suite.
 
     Attributes:
-        name: of the suite; ``"comparison"`` for a comparison of scenarios.
-        target: by which the suite is found again; ``None`` for a comparison and for a suite that was an object.
-        tracks: that were run, in the order of tables.
-        policies: by name, in the order of tables.
-        episode_sets: by name of the track.
-        samples: by (track, policy).
-        not_applicable: by (track, policy), why the policy cannot act there.
-        failures: by (track, policy), the error of the policy there.
+        name: the name of the suite; ``"comparison"`` for a comparison of scenarios.
+        target: the string by which the suite is found again; ``None`` for a comparison and for a suite that was an
+            object.
+        tracks: the tracks, in the order of tables.
+        policies: the policies by name, in the order of tables.
+        episode_sets: the episode set of each track.
+        samples: the samples by (track, policy).
+        not_applicable: why a policy cannot act on a track, by (track, policy).
+        failures: the error of a policy on a track, by (track, policy).
     """
 
     name: str
@@ -81,22 +82,22 @@ class Results:
     @property
     def episodes(self) -> dict[str, int]:
         """The number of episodes by name of the track."""
-        return {track: chosen.count for track, chosen in self.episode_sets.items()}
+        return {track: episodes.count for track, episodes in self.episode_sets.items()}
 
     @property
     def seed(self) -> int:
-        """Of the episode sets."""
+        """The seed of the episode sets."""
         return next(iter(self.episode_sets.values())).seed
 
     @property
     def split(self) -> Split:
-        """Of the episode sets."""
+        """The split of the episode sets."""
         return next(iter(self.episode_sets.values())).split
 
     @property
     def is_comparison(self) -> bool:
         """Whether it is a comparison of scenarios, which has no reference policies and no scores."""
-        return all(chosen.track is None for chosen in self.episode_sets.values())
+        return all(episodes.track is None for episodes in self.episode_sets.values())
 
     @cached_property
     def records(self) -> tuple[Record, ...]:
@@ -107,8 +108,7 @@ class Results:
             for count in [self.episodes[track]]
             for metric in METRICS.values()
             if metric.source in samples
-            for found in [samples[metric.source]]
-            for summary in [estimate([found if metric.statistic == "mean" else tail_values(found)])]
+            for summary in [estimate([STATISTICS[metric.statistic](samples[metric.source])])]
         )
 
     @cached_property
@@ -116,10 +116,10 @@ class Results:
         return {(record["track"], record["policy"], record["metric"]): record for record in self.records}
 
     def record(self, track: str, policy: str, metric: str) -> Record:
-        """The record of one track, policy and metric.
+        """Return the record of one track, policy and metric.
 
         Raises:
-            KeyError: when there is no such record, with the reason where the policy cannot act on the track or failed.
+            KeyError: when there is no such record; the message says why the policy cannot act on the track or failed.
         """
         try:
             return self._records[track, policy, metric]
@@ -129,21 +129,21 @@ class Results:
             raise KeyError(f"no record of {metric!r} for policy {policy!r} on track {track!r}{because}") from None
 
     def summary(self, track: str, policy: str, metric: str) -> Summary | None:
-        """Mean and interval of a record; ``None`` where there is no such record."""
+        """Return the mean and interval of a record; ``None`` where there is no such record."""
         record = self._records.get((track, policy, metric))
         return None if record is None else Summary(record["mean"], record["low"], record["high"])
 
     # --- files ------------------------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """All that is needed to read the results and to repeat them, as a JSON object.
+        """Return all that is needed to read the results and to repeat them, as a JSON object.
 
         ``format`` is the version of the meaning, ``checksum`` the hash of all but itself and the timings.
         """
         libraries = {library for policy in self.policies.values() for library in policy.libraries}
         samples: dict[str, dict[str, dict[str, Any]]] = {"samples": {}, "timings": {}}
-        for (track, policy), found in self.samples.items():
-            for metric, values in found.items():
+        for (track, policy), by_metric in self.samples.items():
+            for metric, values in by_metric.items():
                 kind = "timings" if METRICS[metric].is_timing else "samples"
                 kept = values[:, :1] if METRICS[metric].is_timing else values
                 samples[kind].setdefault(track, {}).setdefault(policy, {})[metric] = to_json_list(kept)
@@ -152,7 +152,7 @@ class Results:
             "name": self.name,
             "suite": self.target,
             "tracks": [track.to_dict() for track in self.tracks],
-            "episodes": {track: asdict(chosen) for track, chosen in self.episode_sets.items()},
+            "episodes": {track: asdict(episodes) for track, episodes in self.episode_sets.items()},
             "policies": [policy.to_dict() for policy in self.policies.values()],
             "not_applicable": _reasons(self.not_applicable),
             "failures": _reasons(self.failures),
@@ -197,11 +197,11 @@ class Results:
             raise ValueError(f"not results: {type(error).__name__}: {error}") from error
 
     def to_json(self) -> str:
-        """:meth:`to_dict` as a JSON text without NaN or Infinity."""
+        """Return :meth:`to_dict` as a JSON text without NaN or Infinity."""
         return json.dumps(self.to_dict(), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
     def to_csv(self) -> str:
-        """The records as CSV, each with the version, the name of the suite, the seed and the split.
+        """Return the records as CSV, each with the version, the name of the suite, the seed and the split.
 
         A text that a spreadsheet would read as a formula is preceded by ``'``.
         """
@@ -218,25 +218,25 @@ class Results:
     # --- texts ------------------------------------------------------------------------------------------------------
 
     def standing(self, track: str, policy: str) -> tuple[float, float]:
-        """:func:`standing` of a policy on a track."""
+        """Return the :func:`standing` of a policy on a track."""
         return standing(self.summary(track, policy, "digits"), self.summary(track, policy, "mean_regret"))
 
     def ranked(self, track: str) -> dict[str, Summary]:
-        """The digits on a track of the policies that have a value there, the best first."""
-        found = {name: self.summary(track, name, "digits") for name in self.policies}
-        ordered = sorted(found, key=lambda name: self.standing(track, name))
-        return {name: digits for name in ordered if (digits := found[name]) is not None and digits.mean is not None}
+        """Return the digits on a track of the policies that have a value there, the best first."""
+        ordered = sorted(self.policies, key=lambda name: self.standing(track, name))
+        summaries = {name: self.summary(track, name, "digits") for name in ordered}
+        return {name: digits for name, digits in summaries.items() if digits is not None and digits.mean is not None}
 
     def _label(self, policy: str) -> str:
         return f"{policy} (oracle)" if self.policies[policy].is_oracle else policy
 
     def __repr__(self) -> str:
-        policies, tracks = (textwrap.shorten(", ".join(each), 60) for each in (self.policies, self.episodes))
+        policies, tracks = (textwrap.shorten(", ".join(names), 60) for names in (self.policies, self.episodes))
         failed = f", {len(self.failures)} failed" * bool(self.failures)
         return f"<Results of {self.name}: {policies} on {tracks}, seed {self.seed}{failed}>"
 
     def __str__(self) -> str:
-        """A line per track and policy, the best first: digits with their 95 % interval, and the mean regret.
+        """Return a line per track and policy, the best first: digits with their 95 % interval, and the mean regret.
 
         Policies that failed come last on a track, with the reason.
         """
@@ -244,14 +244,14 @@ class Results:
         for track in self.tracks:
             count = self.episodes[track.name]
             lines += ["", f"{track.name}, {count} episode{'s' * (count > 1)}: digits, mean regret"]
-            found = {
+            cells = {
                 self._label(name): (_with_interval(digits), self.summary(track.name, name, "mean_regret"))
                 for name, digits in self.ranked(track.name).items()
             }
-            width = max(map(len, found), default=0)
+            width = max(map(len, cells), default=0)
             lines += [
                 f"  {policy:<{width}}  {digits}, {number(regret.mean if regret else None)}"
-                for policy, (digits, regret) in found.items()
+                for policy, (digits, regret) in cells.items()
             ]
             lines += [f"  {name} failed: {why}" for (on, name), why in self.failures.items() if on == track.name]
         return "\n".join(lines)
@@ -280,13 +280,13 @@ def read_results(path: Path) -> dict[str, Any]:
 
 
 def _with_interval(summary: Summary) -> str:
-    """A mean with its interval, where the two differ."""
+    """Format a mean with its interval, where the two differ."""
     mean, low, high = map(number, (summary.mean, summary.low, summary.high))
     return mean if low == high else f"{mean} [{low}, {high}]"
 
 
 def _cell(value: Any) -> Any:
-    """A cell of a CSV file, after OWASP's "CSV Injection"; numbers stay as they are.
+    """Return a cell of a CSV file that no spreadsheet runs, after OWASP's "CSV Injection"; numbers stay as they are.
 
     Some spreadsheets end a cell at a semicolon or a tabulator.
     """
@@ -298,7 +298,7 @@ def _reasons(reasons: Mapping[Place, str]) -> list[dict[str, str]]:
 
 
 def to_json_list(values: FloatArray) -> list[Any]:
-    """Numbers as a list of any depth, in which NaN is ``None``."""
-    found = values.astype(object)
-    found[~np.isfinite(values)] = None
-    return list(found.tolist())
+    """Return numbers as a list of the same depth, in which what is not finite is ``None``."""
+    numbers = values.astype(object)
+    numbers[~np.isfinite(values)] = None
+    return list(numbers.tolist())

@@ -1,4 +1,4 @@
-"""Running a policy through a batch of episodes, and recording series on the way."""
+"""Rollouts: a policy plays a batch of episodes, and series of numbers are recorded on the way."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ from ptne_env.world.rewards import REWARD_LIMIT, limit_distance, measure_distanc
 from ptne_env.world.world import World
 
 REGRET_INTERVALS = 20
-"""Intervals between the instants at which regrets are recorded: in every step they would take as long as a law."""
+"""Number of intervals between the instants at which regrets are recorded; in every step they would cost as much as a
+law."""
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """B episodes of one policy.
+    """What was recorded in B episodes of one policy.
 
     Attributes:
-        world: in which they ran.
-        series: numbers per episode by name, as :func:`at_instant`, :func:`regret` and :func:`in_step` record them, of
-            shape (instants, B), (instants of regrets, B) and (steps to the deadline, B).
+        world: the world of the episodes.
+        series: the series by name, as :func:`record_instant`, :func:`record_regret` and :func:`record_step` record
+            them, of shape (instants, B), (instants of regrets, B) and (steps to the deadline, B).
         diverged: whether the episode left the range, shape (B,).
-        seconds_per_decision: wall time of the policy per player and step.
+        seconds_per_decision: the wall time of the policy per player and step.
     """
 
     world: World
@@ -43,18 +44,18 @@ class Rollout:
     seconds_per_decision: float
 
     def __getitem__(self, series: str) -> FloatArray:
-        """A series by name, shape (instants or steps, B).
+        """Return a series by name, shape (instants or steps, B).
 
         Raises:
-            KeyError: naming the series that there are, when there is no such one.
+            KeyError: when there is no such series; the message names those that there are.
         """
         if series not in self.series:
             raise KeyError(unknown_name("series", series, self.series))
         return self.series[series]
 
 
-def at_instant(state: State) -> dict[str, FloatArray]:
-    """The series of every instant: relative distances of strategies and estimates, and the mean digits of players."""
+def record_instant(state: State) -> dict[str, FloatArray]:
+    """Return the series of an instant: distances of strategies and estimates, and the mean digits of players."""
     players, strategies = measure_distances(state), distances.strategy_distance(dynamics.strategies(state), state.game)
     return {
         "strategy_distance": limit_distance(state, strategies),
@@ -64,7 +65,7 @@ def at_instant(state: State) -> dict[str, FloatArray]:
 
 
 def regret_instants(world: World) -> IntArray:
-    """The instants at which regrets are recorded, from the start to the deadline.
+    """Return the instants at which regrets are recorded, from the start to the deadline.
 
     The spaces between them grow, because regrets fall fast at first: with even ones, all fast policies look alike.
     """
@@ -72,8 +73,8 @@ def regret_instants(world: World) -> IntArray:
     return np.unique((world.clock.steps * places**2).round().astype(np.int64))
 
 
-def regret(state: State) -> dict[str, FloatArray]:
-    """The series of the instants of regrets: the sum over players; NaN where the game has no best response."""
+def record_regret(state: State) -> dict[str, FloatArray]:
+    """Return the regret of an instant, summed over players; NaN where the game has no best response."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # only a diverged environment overflows
             regrets = np.clip(state.game.regrets(dynamics.strategies(state)), 0, REWARD_LIMIT)
@@ -82,8 +83,8 @@ def regret(state: State) -> dict[str, FloatArray]:
     return {"regret": ordered_sum(np.where(state.diverged, REWARD_LIMIT, regrets))}
 
 
-def in_step(world: World, state: State, inputs: FloatArray, step: int) -> dict[str, FloatArray]:
-    """The series of every step to the deadline: the efforts of the episodes in range."""
+def record_step(world: World, state: State, inputs: FloatArray, step: int) -> dict[str, FloatArray]:
+    """Return the series of a step before the deadline: the efforts of the episodes in range."""
     dt, acting = world.clock.dt[step], ~state.diverged
     magnitudes = np.abs(inputs) * acting
     # The action box is float32, so an input at the limit may be the float32 just below it.
@@ -102,13 +103,13 @@ class Member:
     The policy is called with ``deterministic=True``, and its memory is passed back to it unread.
 
     Args:
-        policy: built for the layout of ``encoder``.
-        encoder: makes its observations and decodes its actions.
-        players: indices of the players for which it decides.
-        witnesses: audit the decisions.
+        policy: the policy, built for the layout of ``encoder``.
+        encoder: the encoder, which makes its observations and decodes its actions.
+        players: the indices of the players for which it decides.
+        witnesses: the witnesses that audit its decisions.
 
     Attributes:
-        seconds: wall time of the policy so far.
+        seconds: the wall time of the policy so far.
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class Member:
         self._episode_start = np.zeros(0, dtype=np.bool_)  # before the first decision
 
     def decide(self, state: State) -> FloatArray:
-        """Inputs u of shape (n, N, B), 0 for all other players.
+        """Return inputs u of shape (n, N, B), which are 0 for all other players.
 
         Raises:
             PolicyError: when the policy raises, returns actions of another shape or actions that are not finite, or
@@ -138,7 +139,7 @@ class Member:
             observations = observations[:, self.players]
         shape = (batch, len(self.players), layout.action_size)
         try:
-            chosen = self._ask(observations.reshape(rows, -1)).reshape(shape)
+            actions = self._ask(observations.reshape(rows, -1)).reshape(shape)
         except PolicyError as error:
             raise type(error)(f"step {int(state.step[0])}: {error}") from error
         except MemoryError:
@@ -146,29 +147,29 @@ class Member:
         except Exception as error:  # of the policy or of a witness
             raise PolicyError(f"step {int(state.step[0])}: {describe(error)}") from error
         if is_alone:
-            return self.encoder.decode(chosen, state)
-        actions_of_all = np.zeros((batch, layout.num_players, layout.action_size), dtype=chosen.dtype)
-        actions_of_all[:, self.players] = chosen
+            return self.encoder.decode(actions, state)
+        actions_of_all = np.zeros((batch, layout.num_players, layout.action_size), dtype=actions.dtype)
+        actions_of_all[:, self.players] = actions
         inputs = np.zeros_like(state.estimates)
         inputs[:, self.players] = self.encoder.decode(actions_of_all, state)[:, self.players]
         return inputs
 
     def _ask(self, observations: Float32Array) -> npt.NDArray[Any]:
-        """The actions for observations of shape (R, size), checked and audited: shape (R, action size)."""
+        """Ask the policy for actions (R, action size) at observations (R, size), check and audit them."""
         started = perf_counter()
-        actions, self._memory = decision(self.policy, observations, self._memory, self._episode_start)
+        answer, self._memory = decision(self.policy, observations, self._memory, self._episode_start)
         self.seconds += perf_counter() - started
         self._episode_start = np.zeros_like(self._episode_start)
-        chosen, expected = np.asarray(actions), (len(observations), self.encoder.layout.action_size)
-        if chosen.shape != expected:
+        actions, expected = np.asarray(answer), (len(observations), self.encoder.layout.action_size)
+        if actions.shape != expected:
             raise PolicyError(
-                f"it answered {expected[0]} observations with actions of shape {chosen.shape}; expected {expected}"
+                f"it answered {expected[0]} observations with actions of shape {actions.shape}; expected {expected}"
             )
-        if not np.isfinite(chosen).all():
+        if not np.isfinite(actions).all():
             raise PolicyError("it answered with an action that is not finite; expected numbers without NaN or inf")
         for witness in self.witnesses:
-            witness.compare(observations, chosen)
-        return chosen
+            witness.compare(observations, actions)
+        return actions
 
 
 def rollout(
@@ -179,15 +180,16 @@ def rollout(
     watch: Callable[[State, FloatArray | None], None] | None = None,
     witnesses: Sequence[Witness] = (),
 ) -> Rollout:
-    """Run ``policy`` from the state ``start`` at t = 0 to the end of every episode.
+    """Run a policy from the state at t = 0 to the end of every episode.
 
     Args:
         policy: the policy that is measured.
-        encoder: makes its observations and decodes its actions.
-        start: initial state of all episodes.
-        teammates: decide for their players in place of ``policy``, which decides for the other players only.
-        watch: called with every state and the inputs (n, N, B) that are held from it, ``None`` with the last state.
-        witnesses: audit the decisions of ``policy``.
+        encoder: the encoder, which makes its observations and decodes its actions.
+        start: the initial state of all episodes.
+        teammates: a member that decides for its players; ``policy`` then decides for the other players only.
+        watch: a function that is called with every state and the inputs (n, N, B) that are held from it, ``None`` with
+            the last state.
+        witnesses: the witnesses that audit the decisions of ``policy``.
 
     Raises:
         PolicyError: when a policy raises, returns actions of another shape or actions that are not finite, or does not
@@ -197,8 +199,8 @@ def rollout(
     clock, players = world.clock, range(world.game.num_players)
     taken = set() if teammates is None else set(teammates.players.tolist())
     member = Member(policy, encoder, [player for player in players if player not in taken], witnesses)
-    recorded: dict[str, list[FloatArray]] = {}
-    observed = set(regret_instants(world).tolist())
+    series: dict[str, list[FloatArray]] = {}
+    instants = set(regret_instants(world).tolist())
     state = start
     for step in range(clock.total_steps + 1):
         inputs = member.decide(state) if step < clock.total_steps else None
@@ -206,15 +208,15 @@ def rollout(
             inputs += teammates.decide(state)
         if watch is not None:
             watch(state, inputs)
-        found = at_instant(state)
-        if step in observed:
-            found |= regret(state)
+        numbers = record_instant(state)
+        if step in instants:
+            numbers |= record_regret(state)
         if inputs is not None and step < clock.steps:
-            found |= in_step(world, state, inputs, step)
-        for name, values in found.items():
-            recorded.setdefault(name, []).append(values)
+            numbers |= record_step(world, state, inputs, step)
+        for name, values in numbers.items():
+            series.setdefault(name, []).append(values)
         if inputs is not None:
             state = dynamics.step(world, state, inputs)
-    series = {name: np.array(values, dtype=np.float64) for name, values in recorded.items()}
+    arrays = {name: np.array(values, dtype=np.float64) for name, values in series.items()}
     seconds = member.seconds / (clock.total_steps * len(member.players) * batch)
-    return Rollout(world, series, state.diverged, seconds)
+    return Rollout(world, arrays, state.diverged, seconds)

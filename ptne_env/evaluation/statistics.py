@@ -1,8 +1,8 @@
-"""Means over training seeds, episodes and tracks, with intervals."""
+"""Statistics over training seeds, episodes and tracks, with intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -28,7 +28,7 @@ class Summary:
 
 
 def estimate(scores: Scores) -> Summary:
-    """The mean over tracks of the means of a policy, with its two-level interval.
+    """Return the mean over tracks of the means of a policy, with its two-level interval.
 
     Training seeds are drawn once for all tracks, because the quality of a network affects all of them; the episodes of
     a track are drawn once for all training seeds, because all play the same ones. The variance of the mean is therefore
@@ -41,18 +41,18 @@ def estimate(scores: Scores) -> Summary:
             value.
 
     Returns:
-        A constant has low = high = mean; all are ``None`` without a track or where no episode has a value.
+        The mean and its interval. A constant has low = high = mean; all are ``None`` where no episode has a value.
     """
-    found = [np.where(np.isfinite(track), track, np.nan)[np.isfinite(track).any(axis=1)] for track in scores]
-    if not found or not all(track.size for track in found):
+    finite = [np.where(np.isfinite(track), track, np.nan)[np.isfinite(track).any(axis=1)] for track in scores]
+    if not finite or not all(track.size for track in finite):
         return Summary(None, None, None)
-    lowest, highest = (float(pick([pick(track) for track in found])) for pick in (np.nanmin, np.nanmax))
+    lowest, highest = (float(pick([pick(track) for track in finite])) for pick in (np.nanmin, np.nanmax))
     if lowest == highest:
         return Summary(lowest, lowest, lowest)
-    by_seed = np.mean([np.nanmean(track, axis=1) for track in found], axis=0)
-    by_episode = [np.nanmean(track[:, np.isfinite(track).any(axis=0)], axis=0) for track in found]
-    middle = float(np.mean([np.nanmean(track) for track in found]))
-    parts = [_variance_of_mean(by_seed), *(_variance_of_mean(values / len(found)) for values in by_episode)]
+    by_seed = np.mean([np.nanmean(track, axis=1) for track in finite], axis=0)
+    by_episode = [np.nanmean(track[:, np.isfinite(track).any(axis=0)], axis=0) for track in finite]
+    middle = float(np.mean([np.nanmean(track) for track in finite]))
+    parts = [_variance_of_mean(by_seed), *(_variance_of_mean(values / len(finite)) for values in by_episode)]
     variance = sum(part for part, _ in parts)
     if variance == 0:
         return Summary(middle, middle, middle)
@@ -62,16 +62,16 @@ def estimate(scores: Scores) -> Summary:
 
 
 def _variance_of_mean(values: FloatArray) -> tuple[float, int]:
-    """The variance of the mean of independent values, and its degrees of freedom; 0 for one value."""
+    """Return the variance of the mean of independent values, and its degrees of freedom; 0 for one value."""
     count = len(values)
     return (float(values.var(ddof=1)) / count, count - 1) if count > 1 else (0.0, 0)
 
 
 def tail_values(samples: FloatArray) -> FloatArray:
-    """Values whose mean is the conditional value at risk: the mean of the worst tenth (at least one) of the episodes.
+    """Return values whose mean is the conditional value at risk, the mean of the worst tenth of the episodes.
 
-    With q the best of the worst k of E episodes, x becomes q + min(x − q, 0) E/k (Rockafellar and Uryasev 2000). The
-    interval of their mean is that of the CVaR, because q moves it in second order only.
+    The worst tenth has k ≥ 1 of the E episodes. With q the best of these, x becomes q + min(x − q, 0) E/k (Rockafellar
+    and Uryasev 2000). The interval of the mean is that of the CVaR, because q moves it in second order only.
 
     Args:
         samples: shape (training seeds, episodes); low values are bad.
@@ -85,3 +85,7 @@ def tail_values(samples: FloatArray) -> FloatArray:
     if not np.isfinite(samples).all():
         return np.full_like(samples, np.nan)
     return quantile + np.minimum(samples - quantile, 0) * (episodes / count)
+
+
+STATISTICS: Mapping[str, Callable[[FloatArray], FloatArray]] = {"mean": lambda samples: samples, "cvar": tail_values}
+"""Statistics over episodes by name: functions from samples to values of the same shape whose mean is the statistic."""

@@ -19,10 +19,10 @@ from ptne_env.world.world import World
 
 @dataclass(frozen=True)
 class Teammates:
-    """The team rule of a track: these players follow a fixed policy.
+    """The players of a track that follow a fixed policy.
 
     Attributes:
-        policy: that they follow, built for its own interface.
+        policy: the policy that they follow, built for its own interface.
         players: their indices.
     """
 
@@ -30,7 +30,7 @@ class Teammates:
     players: tuple[int, ...]
 
     def join(self, world: World) -> Member:
-        """The teammates as they act in a world.
+        """Let the teammates act in a world.
 
         Raises:
             ValueError: when their policy cannot act there.
@@ -40,25 +40,25 @@ class Teammates:
         return Member(spec.build(encoder.layout), encoder, self.players)
 
     def to_dict(self) -> dict[str, Any]:
-        """A JSON object."""
+        """Return a JSON object."""
         return {"policy": self.policy.to_dict(), "players": list(self.players)}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Teammates:
-        """The inverse of :meth:`to_dict`."""
+        """Read what :meth:`to_dict` returns."""
         return cls(FactorySpec.from_dict(data["policy"]), tuple(data["players"]))
 
 
 @dataclass(frozen=True)
 class Track:
-    """A scenario, with the rules of its episodes.
+    """A scenario with the rules of its episodes.
 
     Attributes:
-        name: unique in a comparison or suite; part of the seeds of its episodes in a suite.
+        name: the name, unique in a comparison or suite. In a suite, the seeds of the episodes depend on it.
         scenario: the physics, or its name in the catalogue.
-        change: its difference from the base of the suite, in one sentence.
+        change: a sentence that says how it differs from the base of the suite.
         teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
-        episodes: its own number of episodes; that of the comparison or suite if ``None``.
+        episodes: the number of episodes; ``None`` for that of the comparison or suite.
         scored: whether it counts for the score of a suite.
 
     Raises:
@@ -79,11 +79,11 @@ class Track:
         if self.episodes is not None:
             require_count(f"episodes of track {self.name!r}", self.episodes, 1)
         if self.teammates is not None:
-            chosen, players = set(self.teammates.players), set(range(self.world.game.num_players))
-            if not (chosen < players and 0 < len(chosen) == len(self.teammates.players)):
+            team, players = set(self.teammates.players), set(range(self.world.game.num_players))
+            if not (team < players and 0 < len(team) == len(self.teammates.players)):
                 raise ValueError(
-                    f"track {self.name!r}: teammates are some, not all, of the players {sorted(players)}, each once; "
-                    f"got {list(self.teammates.players)}"
+                    f"track {self.name!r}: teammates are some, not all, of the players {sorted(players)}, none "
+                    f"twice; got {list(self.teammates.players)}"
                 )
 
     @property
@@ -92,13 +92,13 @@ class Track:
         return _world(self.scenario, tuple(map(resolve, foreign_targets(self.scenario.to_dict()))))
 
     def to_dict(self) -> dict[str, Any]:
-        """A JSON object."""
+        """Return a JSON object."""
         team = self.teammates
         return {**vars(self), "scenario": self.scenario.to_dict(), "teammates": team and team.to_dict()}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Track:
-        """The inverse of :meth:`to_dict`."""
+        """Read what :meth:`to_dict` returns."""
         team = data["teammates"]
         changes = {"scenario": Scenario.from_dict(data["scenario"]), "teammates": team and Teammates.from_dict(team)}
         return cls(**{**data, **changes})
@@ -110,7 +110,7 @@ def _world(scenario: Scenario, definitions: tuple[Any, ...]) -> World:  # noqa: 
 
 
 def compared_tracks(scenarios: Iterable[str | Scenario | Track]) -> tuple[Track, ...]:
-    """The tracks of a comparison. A track in which nothing is random has one episode.
+    """Return the tracks of a comparison. A track in which nothing is random has one episode.
 
     Args:
         scenarios: names of the catalogue; ``"module:object"`` of scenarios or of functions that make them; scenarios;
@@ -120,7 +120,7 @@ def compared_tracks(scenarios: Iterable[str | Scenario | Track]) -> tuple[Track,
         ValueError: for an unknown name, a ``"module:object"`` that is no scenario, repeated names, or none.
         TypeError: for another object, such as an environment.
     """
-    tracks = tuple(each if isinstance(each, Track) else _track(get_scenario(each)) for each in scenarios)
+    tracks = tuple(item if isinstance(item, Track) else _as_track(get_scenario(item)) for item in scenarios)
     names = [track.name for track in tracks]
     if not names:
         raise ValueError("a comparison needs at least one scenario")
@@ -129,8 +129,8 @@ def compared_tracks(scenarios: Iterable[str | Scenario | Track]) -> tuple[Track,
     return tracks
 
 
-def _track(scenario: Scenario) -> Track:
+def _as_track(scenario: Scenario) -> Track:
     track = Track(scenario.name, scenario, "Random episodes.")
-    return (
-        track if track.world.is_random else replace(track, change="One episode, because nothing is random.", episodes=1)
-    )
+    if track.world.is_random:
+        return track
+    return replace(track, change="One episode, because nothing is random.", episodes=1)

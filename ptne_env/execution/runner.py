@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ptne_env.evaluation.jobs import Job, JobResult, run_serially
+from ptne_env.evaluation.comparison import Job, JobResult, run_serially
 from ptne_env.evaluation.metrics import METRICS, Metric
 from ptne_env.execution.store import Store, key_of
 from ptne_env.execution.workers import Workers

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.evaluation.jobs import Job, JobResult
+from ptne_env.evaluation.comparison import Job, JobResult
 from ptne_env.evaluation.metrics import METRICS
 from ptne_env.evaluation.provenance import content_hash, versions
 from ptne_env.evaluation.results import to_json_list

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from ptne_env.evaluation.comparison import Job, JobResult
 from ptne_env.evaluation.entries import POLICIES
-from ptne_env.evaluation.jobs import Job, JobResult
 from ptne_env.evaluation.metrics import METRICS
 from ptne_env.evaluation.provenance import arithmetic, file_hash, versions
 from ptne_env.evaluation.results import Results, read_results

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ptne_env.evaluation.comparison import Run, as_list, compare, run_serially
 from ptne_env.evaluation.entries import POLICIES, PolicySpec, get_policy_spec
 from ptne_env.evaluation.episodes import EpisodeSet, Split
-from ptne_env.evaluation.jobs import Run, run_serially
 from ptne_env.evaluation.results import Results, standing
-from ptne_env.evaluation.run import as_list, compare
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import require_count, require_printable

@@ -11,7 +11,7 @@ import ptne_env
 from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.evaluation import POLICIES, EpisodeSet, Track, get_policy_spec
 from ptne_env.evaluation.audit import OWN_LINKS_EPISODES, WITNESSES, Witness, rows_of_one, sample_rows
-from ptne_env.evaluation.jobs import Job
+from ptne_env.evaluation.comparison import Job
 from ptne_env.learn import shipped_path
 from ptne_env.perception.observation import LayoutError
 

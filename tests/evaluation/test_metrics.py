@@ -6,6 +6,7 @@ from small_suite import BASE
 
 from ptne_env import evaluate
 from ptne_env.evaluation import METRICS, Metric, register
+from ptne_env.evaluation.statistics import STATISTICS
 
 
 def test_every_metric_of_a_run_lies_in_its_range():
@@ -65,3 +66,14 @@ def test_a_metric_that_is_declared_wrongly_is_refused(arguments, message):
 def test_something_else_than_a_metric_is_not_registered():
     with pytest.raises(TypeError, match="register takes Metric"):
         register(len)
+
+
+def test_a_new_statistic_is_one_entry(monkeypatch):
+    monkeypatch.setitem(STATISTICS, "worst", lambda samples: np.full_like(samples, samples.min()))
+    for name in STATISTICS:
+        monkeypatch.setitem(METRICS, name, Metric(name, name, "a number", source="digits", statistic=name))
+    results = evaluate("static", BASE, episodes=20)
+    digits = results.samples[BASE.name, "static"]["digits"]
+    means = {name: results.record(BASE.name, "static", name)["mean"] for name in STATISTICS}
+    assert means == pytest.approx({name: of(digits).mean() for name, of in STATISTICS.items()})
+    assert means["worst"] == digits.min() < means["cvar"] < means["mean"]

@@ -8,7 +8,7 @@ from small_suite import BASE, COMPLETE
 
 from ptne_env import FactorySpec, PolicySpec, laws, parallel_env
 from ptne_env.evaluation import METRICS, EpisodeSet, Metric, Track, get_policy_spec, register
-from ptne_env.evaluation.jobs import Job
+from ptne_env.evaluation.comparison import Job
 from ptne_env.execution import store
 from ptne_env.execution.store import content_of, key_of
 from ptne_env.learn import shipped_path

@@ -9,7 +9,7 @@ from small_suite import BASE, SMALL, stored, untimed
 
 from ptne_env import PolicySpec, evaluate, laws
 from ptne_env.evaluation import METRICS, EpisodeSet, Metric, Track, get_policy_spec, register
-from ptne_env.evaluation.jobs import Job, JobResult
+from ptne_env.evaluation.comparison import Job, JobResult
 from ptne_env.evaluation.provenance import content_hash
 from ptne_env.execution import Runner
 from ptne_env.execution.store import Store, key_of

@@ -1,0 +1,236 @@
+"""Comparisons: jobs, of one policy on one track, and how their results become those of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ptne_env.evaluation.audit import USES_OTHER_LINKS, AuditError, Witness, rows_of_one, sample_rows, with_links_of
+from ptne_env.evaluation.entries import PolicySpec, get_policy_spec
+from ptne_env.evaluation.episodes import EpisodeSet, Split
+from ptne_env.evaluation.metrics import measure
+from ptne_env.evaluation.results import Place, Results, Samples
+from ptne_env.evaluation.rollout import rollout
+from ptne_env.evaluation.tracks import Track, compared_tracks
+from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.observation import LayoutError, ObservationLayout
+from ptne_env.perception.policy import Policy, PolicyError
+from ptne_env.shared.arrays import FloatArray, require_count
+from ptne_env.world.dynamics import State
+from ptne_env.world.scenario import Scenario
+from ptne_env.world.world import World
+
+EPISODES = 100
+"""Episodes of a scenario in a comparison, unless another number is asked for."""
+
+DECIMALS = 7
+"""Significant decimals of the values of metrics. All tables follow from these numbers, which a file holds exactly."""
+
+
+@dataclass(frozen=True)
+class JobResult:
+    """The result of a job.
+
+    Attributes:
+        samples: per metric, one value per episode, NaN where there is none; shape (B,). A timing repeats its value.
+        not_applicable: why the policy cannot act on this track; ``None`` where it can.
+        failure: the error of the policy, with the step; ``None`` where it acted. A failed job is never stored.
+    """
+
+    samples: dict[str, FloatArray] = field(default_factory=dict)
+    not_applicable: str | None = None
+    failure: str | None = None
+
+
+@dataclass(frozen=True)
+class Job:
+    """One policy with one training seed on one track: everything that its numbers depend on.
+
+    Attributes:
+        track: the track, with its scenario.
+        policy: the policy, with all its training seeds.
+        training_seed: the index of the training seed that is run.
+        episodes: the episode set.
+    """
+
+    track: Track
+    policy: PolicySpec
+    training_seed: int
+    episodes: EpisodeSet
+
+    def compute(self, *, thorough: bool = False) -> JobResult:
+        """Run the episodes, and audit the decisions of a user's policy.
+
+        Args:
+            thorough: whether the audit has a witness per player instead of one for all, and is also of policies that
+                ship with the library.
+        """
+        world, team = self.track.world, self.track.teammates
+        taken = () if team is None else team.players
+        deciding = [player for player in range(world.game.num_players) if player not in taken]
+        audited = thorough or self.policy.is_own
+        try:
+            encoder = make_encoder(world, self.policy.interface)
+            start = _draw_start(world, self.episodes)
+            for fills in (False, True):
+                policy = self.policy.build(encoder.layout, self.training_seed)
+                witnesses = self._witnesses(encoder.layout, deciding, thorough=thorough, fills=fills) if audited else ()
+                try:
+                    teammates = None if team is None else team.join(world)
+                    samples = measure(rollout(policy, encoder, start, teammates, witnesses=witnesses))
+                    break
+                except AuditError:  # perhaps of rounding, which a batch of the same size excludes
+                    if fills:
+                        raise
+        except LayoutError as error:
+            return JobResult(not_applicable=str(error))
+        except PolicyError as error:
+            return JobResult(failure=str(error))
+        return JobResult({name: _round_values(values) for name, values in samples.items()})
+
+    def _witnesses(
+        self, layout: ObservationLayout, deciding: Sequence[int], *, thorough: bool, fills: bool
+    ) -> list[Witness]:
+        """Build fresh policies that audit the decisions; the last one knows the links of one player alone."""
+        samples = sample_rows(self.episodes.count, len(deciding), thorough=thorough)
+        witnesses = [Witness(self.policy.build(layout, self.training_seed), rows, fills=fills) for rows in samples]
+        place, rows = rows_of_one(self.episodes.count, len(deciding))
+        try:
+            alone = self.policy.build(with_links_of(layout, deciding[place]), self.training_seed)
+        except LayoutError as error:
+            raise PolicyError(f"{USES_OTHER_LINKS}. It cannot be built from them: {error}") from None
+        return [*witnesses, Witness(alone, rows, USES_OTHER_LINKS, fills=fills)]
+
+
+def _round_values(values: FloatArray) -> FloatArray:
+    return np.array([float(f"{value:.{DECIMALS}g}") for value in values.tolist()])
+
+
+@lru_cache(maxsize=2)  # jobs with the same episodes follow each other
+def _draw_start(world: World, episodes: EpisodeSet) -> State:
+    return episodes.initial_state(world)
+
+
+Run: TypeAlias = Callable[[Sequence[Job]], list[JobResult]]
+"""A function from jobs to their results, in the same order."""
+
+
+def run_serially(jobs: Sequence[Job]) -> list[JobResult]:
+    """Run jobs one after the other in this process."""
+    return [job.compute() for job in jobs]
+
+
+def evaluate(
+    policies: str | PolicySpec | Policy | Iterable[str | PolicySpec | Policy],
+    scenarios: str | Scenario | Track | Iterable[str | Scenario | Track],
+    *,
+    episodes: int = EPISODES,
+    seed: int = 0,
+    split: Split = "test",
+    run: Run = run_serially,
+) -> Results:
+    """Run every policy on every scenario from the same seeded starts.
+
+    A policy that fails on a track (it raises, answers in another form or does not pass the audit of its decisions)
+    has no numbers there: :attr:`~ptne_env.evaluation.results.Results.failures` holds the reason.
+
+    Args:
+        policies: one or several names, specs or objects with ``predict``, as
+            :func:`~ptne_env.evaluation.entries.get_policy_spec` takes them; or a dictionary of policies by name.
+        scenarios: one or several scenarios, names of the catalogue, ``"module:object"`` or tracks.
+        episodes: the number of random starts; a track in which nothing is random has one episode.
+        seed: the seed of the episode sets.
+        split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
+        run: how jobs are run. They run one after the other in this process by default;
+            :class:`ptne_env.execution.Runner` stores them in a folder, runs many at a time and shows progress.
+
+    Raises:
+        ValueError: for unknown or repeated names, or when no policy fits any track.
+        TypeError: for an argument of a wrong kind.
+        OSError, ImportError, ConnectionError, ChildProcessError: when ``run`` raises them.
+    """
+    require_count("episodes", episodes, 1)
+    if not callable(run):
+        raise TypeError(f"run takes jobs, as ptne_env.execution.Runner(folder, Workers(4)) does; got {run!r}")
+    tracks = compared_tracks(as_list(scenarios))
+    sets = {track.name: EpisodeSet(track.episodes or episodes, seed, split) for track in tracks}
+    return compare("comparison", tracks, [get_policy_spec(policy) for policy in as_list(policies)], sets, run)
+
+
+def as_list(things: Any) -> list[Any]:
+    """Return one thing, or several, as a list.
+
+    Raises:
+        TypeError: for an object that is none of the things to compare, such as an environment.
+    """
+    known = PolicySpec | Scenario | Track
+    if isinstance(things, str | known) or hasattr(things, "predict"):
+        return [things]
+    if isinstance(things, Mapping):
+        return [thing if isinstance(thing, known) else PolicySpec(name, thing) for name, thing in things.items()]
+    if isinstance(things, type) or not isinstance(things, Iterable):
+        kind = f"the class {things.__name__}" if isinstance(things, type) else f"a {type(things).__name__}"
+        raise TypeError(
+            f"expected names, policies or scenarios, got {kind}; the scenario of an environment is env.scenario, that "
+            "of a function what it returns, and a policy is an object with predict, or PolicySpec(name, function of "
+            "the layout)"
+        )
+    return list(things)
+
+
+def compare(
+    name: str,
+    tracks: Sequence[Track],
+    policies: Sequence[PolicySpec],
+    episodes: Mapping[str, EpisodeSet],
+    run: Run = run_serially,
+    target: str | None = None,
+) -> Results:
+    """Run every policy on every track.
+
+    Args:
+        name: the name of the comparison or suite.
+        tracks: the tracks, in the order of tables.
+        policies: the policies, in the order of tables.
+        episodes: the episode set of each track.
+        run: how jobs are run, as for :func:`evaluate`.
+        target: the string by which a suite is found again.
+
+    Raises:
+        ValueError: for repeated names or no policy, or when a policy fits no track.
+    """
+    specs = {spec.name: spec for spec in policies}
+    if not specs:
+        raise ValueError("a comparison needs at least one policy")
+    if len(specs) < len(policies):
+        names = ", ".join(spec.name for spec in policies)
+        raise ValueError(
+            f"a comparison needs different names, got {names}; a file gets another name by 'name=path', and an object "
+            "by PolicySpec(name, object)"
+        )
+    jobs = [
+        Job(track, spec, training_seed, episodes[track.name])
+        for track in tracks
+        for spec in specs.values()
+        for training_seed in range(len(spec.training_seeds))
+    ]
+    by_place: dict[Place, list[JobResult]] = {}
+    for job, result in zip(jobs, run(jobs), strict=True):
+        by_place.setdefault((job.track.name, job.policy.name), []).append(result)
+    samples: dict[Place, Samples] = {}
+    refusals: dict[Place, str] = {}
+    failures: dict[Place, str] = {}
+    for place, results in by_place.items():
+        refusals |= [(place, result.not_applicable) for result in results if result.not_applicable]
+        failures |= [(place, result.failure) for result in results if result.failure]
+        if place not in failures and place not in refusals:
+            metrics = results[0].samples
+            samples[place] = {metric: np.stack([result.samples[metric] for result in results]) for metric in metrics}
+    if refusals and not (samples or failures):
+        (_, policy), reason = next(iter(refusals.items()))
+        raise ValueError(f"policy {policy!r} fits no track: {reason}")
+    return Results(name, target, tuple(tracks), specs, dict(episodes), samples, refusals, failures)
