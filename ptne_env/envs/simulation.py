@@ -268,4 +268,4 @@ class Simulation:
 
     def succeeded(self) -> BoolArray:
         """Whether each environment is within 0.5 % of the equilibrium in all estimates and in range, shape (B,)."""
-        return distances.succeeded(self._reward.distances)
+        return distances.is_success(self._reward.distances)

@@ -21,7 +21,7 @@ _POOL = 4
 
 
 def episode_seed(seed: int, episode: int, split: Split = "test") -> int:
-    """Return the seed of episode k, with which ``env.reset(seed=...)`` starts where a comparison does.
+    """Return the seed of an episode; ``env.reset(seed=episode_seed(S, k))`` starts episode k of a comparison.
 
     Splits share no seed, and the small seeds that people choose by hand belong to ``"train"``. So policies are tested
     on other episodes than those they were trained on.

@@ -33,8 +33,8 @@ from ptne_env.world.disturbances import Disturbance
 from ptne_env.world.world import RANGE_LIMIT, ComponentOrder, EpisodeRandomness, World
 
 PHYSICS = 1
-"""Version of the behaviour of worlds, part of the key of stored results. When the behaviour changes, tests of stored
-trajectories (``tests/data/golden.json``) fail until this number rises and they are written anew."""
+"""The version of the behaviour of worlds, part of the key of stored results. When the behaviour changes, tests of
+stored trajectories (``tests/data/golden.json``) fail until this number rises and they are written anew."""
 
 
 class Received(NamedTuple):
@@ -43,7 +43,7 @@ class Received(NamedTuple):
     Attributes:
         messages: x^j as received in each neighbour slot, shape (D, n, N, B).
         weights: a_ij of the receiver, shape (D, N, B); 0 where it receives nothing.
-        memory: of the channel.
+        memory: what the channel remembers.
     """
 
     messages: FloatArray
@@ -55,14 +55,14 @@ class State(NamedTuple):
     """The state of B environments. Its arrays are never changed: a step makes new ones.
 
     Attributes:
-        step: index of the coming step, 0..K+H, shape (B,), int64.
-        game: the games being played at this instant, one for all or one per environment.
+        step: the index of the coming step, 0..K+H, shape (B,), int64.
+        game: the games that are played, one for all environments or one for each.
         estimates: x^i in column i, shape (n, N, B); the diagonal blocks are the strategies.
         own_gradients: ∂J_i/∂x_i(x^i), blocks stacked, shape (n, B).
-        diverged: whether the environment has left the range; it stays where it is from then on. Shape (B,).
+        diverged: whether the environment has left the range, after which it stays where it is, shape (B,).
         any_diverged: whether any environment has.
-        randomness: draws of the episodes besides game and start; ``None`` where a scenario draws nothing else.
-        received: messages that came through the channel; ``None`` where it is perfect.
+        randomness: what the episodes draw besides game and start; ``None`` where a scenario draws nothing else.
+        received: the messages that came through the channel; ``None`` where it is perfect.
     """
 
     step: IntArray
@@ -76,12 +76,12 @@ class State(NamedTuple):
 
 
 def draw_initial_state(world: World, streams: Sequence[RandomStreams], estimates: FloatArray | None = None) -> State:
-    """The state at t = 0 of episodes whose game, start and randomness are drawn, one environment per stream.
+    """Draw the game, start and randomness of episodes, and return their state at t = 0.
 
     Args:
         world: the world.
         streams: the random generators of each environment.
-        estimates: initial estimates instead of drawn ones, shape (n, N, B).
+        estimates: initial estimates in place of drawn ones, shape (n, N, B).
 
     Raises:
         ValueError: when a drawn game is not strongly monotone, or as :func:`initial_state`.
@@ -95,13 +95,13 @@ def draw_initial_state(world: World, streams: Sequence[RandomStreams], estimates
 def initial_state(
     world: World, estimates: FloatArray, game: Game | None = None, randomness: EpisodeRandomness | None = None
 ) -> State:
-    """The state at t = 0.
+    """Return the state at t = 0.
 
     Args:
         world: the world.
-        estimates: initial, shape (n, N, B); strategies outside the game's box are projected into it.
+        estimates: initial estimates, shape (n, N, B). Strategies outside the box of the game are projected into it.
         game: one game or B games; needed where the scenario draws games.
-        randomness: remaining draws of B episodes; needed where :meth:`World.draw_randomness` draws anything.
+        randomness: the remaining draws of B episodes; needed where :meth:`World.draw_randomness` draws any.
 
     Raises:
         ValueError: when a shape is wrong, an estimate is not finite or outside the range, or a draw is missing.
@@ -129,20 +129,20 @@ def initial_state(
 
 
 def begin(world: World, estimates: FloatArray, game: Game, randomness: EpisodeRandomness | None) -> State:
-    """:func:`initial_state` without checks; numpy's estimates may be changed in place."""
+    """Do what :func:`initial_state` does without checks; numpy's estimates may be changed in place."""
     batch, xp = estimates.shape[2], array_namespace(estimates)
     step, diverged = xp.zeros(batch, dtype=np.int64), xp.zeros(batch, dtype=np.bool_)
-    return _complete(world, _projected(estimates, game), game, step, diverged, randomness)
+    return _complete(world, _project(estimates, game), game, step, diverged, randomness)
 
 
 def require_state(world: World, state: State, batch: int) -> None:
-    """Check that a state, such as a saved state, fits a world.
+    """Check that a state, such as a saved one, fits a world.
 
     The memory of a channel and the numbers of a game are not checked.
 
     Args:
         world: the world.
-        state: to be checked.
+        state: the state.
         batch: B, the expected number of environments.
 
     Raises:
@@ -172,14 +172,15 @@ def require_state(world: World, state: State, batch: int) -> None:
 
 
 def step(world: World, state: State, inputs: FloatArray) -> State:
-    """x_{k+1} = x_k + Θ_k u_k, with all parts of the world; exact for the held input.
+    """Advance a state by one step: x_{k+1} = x_k + Θ_k u_k, which is exact for the held input.
 
-    Where a box confines the strategies, the players' own blocks of x_k + Θ_k u_k are projected into it.
+    Disturbances, boxes and channels act as the world says. Where a box confines the strategies, the players' own blocks
+    of x_k + Θ_k u_k are projected into it.
 
     Args:
         world: the world.
-        state: x_k; left as it is.
-        inputs: u_k, held for the step, finite, shape (n, N, B).
+        state: x_k, which stays as it is.
+        inputs: u_k, which is held for the step, finite, shape (n, N, B).
     """
     theta = world.clock.theta[shared_step(state)]
     if state.any_diverged:
@@ -187,8 +188,8 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
     estimates = theta * inputs
     estimates += state.estimates
     if world.disturbance is not None:
-        estimates = _disturbed(world, world.disturbance, estimates, state)
-    estimates = _projected(estimates, state.game)
+        estimates = _disturb(world, world.disturbance, estimates, state)
+    estimates = _project(estimates, state.game)
     memory = None if state.received is None else state.received.memory
     return _complete(
         world,
@@ -203,21 +204,21 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
 
 
 def merge(state: State, fresh: State, mask: BoolArray) -> State:
-    """``state`` with the environments in ``mask`` (B,) replaced, in order, by all those of ``fresh``."""
+    """Replace the environments in ``mask`` (B,), in order, by all those of ``fresh``."""
 
-    def merged(old: Array, new: Array) -> Array:
+    def replace(old: Array, new: Array) -> Array:
         return replaced(old, new, mask)
 
-    diverged, received, randomness = merged(state.diverged, fresh.diverged), state.received, state.randomness
+    diverged, received, randomness = replace(state.diverged, fresh.diverged), state.received, state.randomness
     if received is not None and fresh.received is not None:
         received = Received(*channels.merged(received, fresh.received, mask))
     if randomness is not None and fresh.randomness is not None:
-        randomness = _merged_randomness(randomness, fresh.randomness, mask)
+        randomness = _merge_randomness(randomness, fresh.randomness, mask)
     return State(
-        merged(state.step, fresh.step),
+        replace(state.step, fresh.step),
         state.game.merged(fresh.game, mask),
-        merged(state.estimates, fresh.estimates),
-        merged(state.own_gradients, fresh.own_gradients),
+        replace(state.estimates, fresh.estimates),
+        replace(state.own_gradients, fresh.own_gradients),
         diverged,
         bool(diverged.any()),
         randomness,
@@ -226,44 +227,44 @@ def merge(state: State, fresh: State, mask: BoolArray) -> State:
 
 
 def batch_size(state: State) -> int:
-    """B."""
+    """Return B."""
     return state.estimates.shape[2]
 
 
 def shared_step(state: State) -> IntArray:
-    """``state.step``, shape (B,); one entry, shape (1,), where all environments are at the same step, as usual."""
+    """Return ``state.step``, shape (B,), or one entry, shape (1,), where all environments are at the same step."""
     steps = state.step
     in_lockstep = steps.size == 1 or (is_numpy(steps) and np.count_nonzero(steps != steps[0]) == 0)
     return steps[:1] if in_lockstep else steps
 
 
 def is_over(world: World, state: State) -> BoolArray:
-    """Whether each environment has reached its end or diverged, shape (B,)."""
+    """Return whether each environment has reached its end or diverged, shape (B,)."""
     finished = world.is_last_step[state.step]
     return finished | state.diverged if state.any_diverged else finished
 
 
 def strategies(state: State) -> FloatArray:
-    """The real strategies x, shape (n, B)."""
+    """Return the real strategies x, shape (n, B)."""
     return _own(state.game, state.estimates)
 
 
 def active_mode(world: World, state: State) -> IntArray:
-    """Index of the active graph, shape (B,), int64."""
+    """Return the index of the active graph, shape (B,), int64."""
     if state.randomness is None or state.randomness.modes is None:
         return world.modes[state.step]
     return state.randomness.modes[state.step, np.arange(state.step.size)].astype(np.int64)
 
 
 def time_since_switch(world: World, state: State) -> FloatArray:
-    """Time since the last switch over the mean dwell, clipped to [0, 1]; 0 for a fixed graph; shape (B,)."""
+    """Return the time since the last switch over the mean dwell, clipped to [0, 1], 0 for a fixed graph; (B,)."""
     if state.randomness is None or state.randomness.time_since_switch is None:
         return world.time_since_switch[state.step]
     return state.randomness.time_since_switch[state.step, np.arange(state.step.size)].astype(np.float64)
 
 
 def graph_weights(world: World, state: State) -> FloatArray:
-    """a_ij of the active graph per neighbour slot, (D, N, B), or (D, N, 1) where all environments agree."""
+    """Return a_ij of the active graph per neighbour slot, (D, N, B), or (D, N, 1) where all environments agree."""
     if world.mode_weights.shape[2] == 1:
         return world.mode_weights
     modes = active_mode(world, state) if world.topology.is_random else world.modes[shared_step(state)]
@@ -271,12 +272,12 @@ def graph_weights(world: World, state: State) -> FloatArray:
 
 
 def weights(world: World, state: State) -> FloatArray:
-    """a_ij of the receiver per neighbour slot, (D, N, B), or (D, N, 1) where all environments agree."""
+    """Return a_ij of the receiver per neighbour slot, (D, N, B), or (D, N, 1) where all environments agree."""
     return graph_weights(world, state) if state.received is None else state.received.weights
 
 
 def sent_messages(world: World, estimates: FloatArray) -> FloatArray:
-    """The x^j of the neighbour in each slot: estimates (n, N, B) to (D, n, N, B)."""
+    """Return the x^j of the neighbour in each slot: estimates (n, N, B) to (D, n, N, B)."""
     return _rows(estimates).take(world.component_order.senders, axis=0)
 
 
@@ -288,14 +289,14 @@ def relative_estimates(
     order: ComponentOrder | None = None,
     out: FloatArray | None = None,
 ) -> FloatArray:
-    """(x^j as received) − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B).
+    """Return (x^j as received) − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B).
 
     Args:
         world: the world.
         state: the state.
         link_weights: :func:`weights` of the state, where the caller has them.
-        order: of each player's components; the game's if left out.
-        out: where to write, C-contiguous; a new array if left out.
+        order: the order of each player's components; that of the game if left out.
+        out: an array to write into, C-contiguous; a new one if left out.
     """
     rows, received = _rows(state.estimates), state.received
     own = state.estimates if order is None else rows.take(order.own, axis=0)
@@ -316,7 +317,7 @@ def relative_estimates(
 
 
 def distance_limit(game: Game) -> FloatArray:
-    """The relative distance that a diverged environment is given: no state in range is farther from x*; shape (G,)."""
+    """Return the relative distance of a diverged environment, beyond that of any state in range; shape (G,)."""
     scale = game.equilibrium_scale
     return (RANGE_LIMIT * np.sqrt(game.dimension) + scale) / scale
 
@@ -332,18 +333,18 @@ def _complete(
     *,
     any_diverged: bool = False,
 ) -> State:
-    """The state with these estimates: own gradients, divergence and received messages follow from them."""
+    """Return the state with these estimates, from which own gradients, divergence and received messages follow."""
     gradients = _own_gradients(game, estimates)
     if not (_in_range(estimates) and _in_range(gradients)):
-        diverged = diverged | ~_near(estimates, gradients)
+        diverged = diverged | ~_is_near(estimates, gradients)
         any_diverged = not is_numpy(diverged) or bool(diverged.any())
-        estimates, gradients = _clipped(estimates), _clipped(gradients)
+        estimates, gradients = _clip(estimates), _clip(gradients)
     state = State(step, game, estimates, gradients, diverged, any_diverged, randomness)
     return state if world.channel.is_perfect else state._replace(received=_transmit(world, state, memory))
 
 
 def _own_gradients(game: Game, estimates: FloatArray) -> FloatArray:
-    """The own gradients, shape (n, B); not finite where a game overflows."""
+    """Return the own gradients, shape (n, B), not finite where a game overflows."""
     if game.is_affine:
         return game.own_gradients(estimates)
     with np.errstate(over="ignore", invalid="ignore"):  # a diverging game may overflow; it is caught by the caller
@@ -352,20 +353,20 @@ def _own_gradients(game: Game, estimates: FloatArray) -> FloatArray:
         return gradients
     # JAX multiplies a cotangent of 0 by a derivative that is not finite; so games that overflow get none.
     gradients, xp = without_gradient(gradients), array_namespace(estimates)
-    is_near = _near(estimates, gradients)
+    is_near = _is_near(estimates, gradients)
     safe: FloatArray = game.own_gradients(xp.where(is_near, estimates, game.nash_equilibria[:, None]))
     return xp.where(is_near, safe, gradients)
 
 
-def _near(estimates: FloatArray, gradients: FloatArray) -> BoolArray:
-    """Whether each environment's estimates (n, N, B) and own gradients (n, B) are in range, shape (B,)."""
+def _is_near(estimates: FloatArray, gradients: FloatArray) -> BoolArray:
+    """Return whether each environment's estimates (n, N, B) and own gradients (n, B) are in range, shape (B,)."""
     xp = array_namespace(estimates)
     farthest = xp.maximum(xp.abs(estimates).max(axis=(0, 1)), xp.abs(gradients).max(axis=0))
     return farthest <= RANGE_LIMIT
 
 
-def _clipped(array: FloatArray) -> FloatArray:
-    """The numbers of an array within ±RANGE_LIMIT, which also stands for NaN."""
+def _clip(array: FloatArray) -> FloatArray:
+    """Clip numbers to ±RANGE_LIMIT; NaN becomes RANGE_LIMIT."""
     xp = array_namespace(array)
     return xp.clip(xp.nan_to_num(array, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
 
@@ -386,7 +387,7 @@ def _fits_channel(world: World, state: State, batch: int) -> bool:
 
 
 def _transmit(world: World, state: State, memory: Memory | None) -> Received:
-    """The messages received in ``state`` through a channel that remembers ``memory`` of the step before."""
+    """Send the messages of a state through the channel, which remembers ``memory`` of the step before."""
     batch, xp = batch_size(state), array_namespace(state.estimates)
     keys = xp.zeros(batch, dtype=np.uint64) if state.randomness is None else state.randomness.channel_keys
     link_weights = graph_weights(world, state)
@@ -401,28 +402,28 @@ def _transmit(world: World, state: State, memory: Memory | None) -> Received:
     return Received(values, received.weights * (received.live & sent.live), memory)
 
 
-def _disturbed(world: World, disturbance: Disturbance, estimates: FloatArray, state: State) -> FloatArray:
-    """The estimates, with Δt w added to the real strategies, perhaps in place."""
+def _disturb(world: World, disturbance: Disturbance, estimates: FloatArray, state: State) -> FloatArray:
+    """Add Δt w to the real strategies, perhaps in place."""
     steps, xp = shared_step(state), array_namespace(estimates)
     dt = xp.where(state.diverged, 0.0, world.clock.dt[steps])
     batch = batch_size(state)
     keys = xp.zeros(batch, dtype=np.uint64) if state.randomness is None else state.randomness.disturbance_keys
     push = dt * disturbance.velocity(keys, state.step, world.game.dimension)
-    return _with_own(state.game, estimates, _own(state.game, estimates) + push)
+    return _replace_own(state.game, estimates, _own(state.game, estimates) + push)
 
 
-def _projected(estimates: FloatArray, game: Game) -> FloatArray:
-    """The estimates, with the real strategies projected into the game's box, perhaps in place; others stay."""
-    return _with_own(game, estimates, game.project(_own(game, estimates))) if game.has_bounds else estimates
+def _project(estimates: FloatArray, game: Game) -> FloatArray:
+    """Project the real strategies into the game's box, perhaps in place; other estimates stay."""
+    return _replace_own(game, estimates, game.project(_own(game, estimates))) if game.has_bounds else estimates
 
 
 def _own(game: Game, estimates: FloatArray) -> FloatArray:
-    """The real strategies in estimates (n, N, B), shape (n, B)."""
+    """Return the real strategies in estimates (n, N, B), shape (n, B)."""
     return estimates[np.arange(game.dimension), game.owners]
 
 
-def _with_own(game: Game, estimates: FloatArray, strategies: FloatArray) -> FloatArray:
-    """Estimates (n, N, B) with other real strategies (n, B); numpy's are changed in place."""
+def _replace_own(game: Game, estimates: FloatArray, strategies: FloatArray) -> FloatArray:
+    """Replace the real strategies in estimates (n, N, B) by others (n, B); numpy's estimates are changed in place."""
     if is_numpy(estimates):
         estimates[np.arange(game.dimension), game.owners] = strategies
         return estimates
@@ -430,13 +431,13 @@ def _with_own(game: Game, estimates: FloatArray, strategies: FloatArray) -> Floa
     return array_namespace(estimates).where(is_own, strategies[:, None], estimates)
 
 
-def _merged_randomness(old: EpisodeRandomness, fresh: EpisodeRandomness, mask: BoolArray) -> EpisodeRandomness:
-    def merged(before: Array | None, new: Array | None) -> Array | None:
+def _merge_randomness(old: EpisodeRandomness, fresh: EpisodeRandomness, mask: BoolArray) -> EpisodeRandomness:
+    def replace(before: Array | None, new: Array | None) -> Array | None:
         return before if before is None or new is None else replaced(before, new, mask)
 
     return EpisodeRandomness(
-        merged(old.modes, fresh.modes),
-        merged(old.time_since_switch, fresh.time_since_switch),
+        replace(old.modes, fresh.modes),
+        replace(old.time_since_switch, fresh.time_since_switch),
         replaced(old.channel_keys, fresh.channel_keys, mask),
         replaced(old.disturbance_keys, fresh.disturbance_keys, mask),
     )
@@ -447,7 +448,7 @@ def _rows(estimates: FloatArray) -> FloatArray:
 
 
 def _in_range(array: FloatArray) -> bool:
-    """Whether every entry is a number within ±RANGE_LIMIT."""
+    """Return whether every entry is a number within ±RANGE_LIMIT."""
     if not is_numpy(array):  # JAX does not know numbers before it runs
         return False
     flat = array.reshape(-1)
