@@ -12,9 +12,9 @@ from ptne_env.shared.arrays import FloatArray, array_namespace, require_non_nega
 
 
 def adaptive_inputs(observation: Observation, gains: FloatArray, gamma: Any) -> tuple[FloatArray, FloatArray]:
-    """−R_i^T ∂J_i/∂x_i(x^i) − Σ_j κ_ij a_ij (x^i − x^j), (..., n), and the next κ_ij by an Euler step, (..., D).
+    """Return the inputs (..., n) of the adaptive law, and the next gains κ_ij (..., D) after an Euler step.
 
-    dκ_ij/dτ = γ a_ij ‖x^i − x^j‖², eqs. (36) and (47) of the paper.
+    u^i = −R_i^T ∂J_i/∂x_i(x^i) − Σ_j κ_ij a_ij (x^i − x^j) and dκ_ij/dτ = γ a_ij ‖x^i − x^j‖², eqs. (36) and (47).
     """
     differences = observation.relative_estimates
     inputs = consensus(gains * observation.weights, differences) - observation.gradient
@@ -24,12 +24,12 @@ def adaptive_inputs(observation: Observation, gains: FloatArray, gamma: Any) -> 
 
 
 class AdaptiveLaw(Law):
-    """A law with gains that adapt: its memory.
+    """A law that remembers gains, which adapt.
 
     Args:
-        layout: of the environment.
+        layout: the layout of the environment.
         gamma: γ ≥ 0, the rate of adaptation. The paper does not give it; 0.1 needs Θ ≲ 0.04 to stay stable.
-        initial_gain: of every gain at t = 0, ≥ 0.
+        initial_gain: every gain at t = 0, ≥ 0.
 
     Raises:
         ValueError: for a negative number.
@@ -42,21 +42,21 @@ class AdaptiveLaw(Law):
 
 
 class Adaptive(AdaptiveLaw):
-    """u^i = −R_i^T ∂J_i/∂x_i(x^i) − Σ_j κ_ij a_ij (x^i − x^j), dκ_ij/dτ = γ a_ij ‖x^i − x^j‖².
+    """The adaptive law of the paper (Theorem 3; over switching graphs, Theorem 4), :func:`adaptive_inputs`.
 
-    Eqs. (36) and (47) of the paper: on a switching topology a_ij is that of the active graph. The gains take an Euler
-    step of Θ_k like the estimates. Both ends of a link see the same differences, so κ_ij = κ_ji needs no message.
-    The memory is κ_ij per neighbour slot, shape (R, D), in natural units; γ is the same on all links.
+    On a switching topology a_ij is that of the active graph. The gains take an Euler step of Θ_k like the estimates.
+    Both ends of a link see the same differences, so κ_ij = κ_ji needs no message. The memory is κ_ij per neighbour
+    slot, shape (R, D), in natural units; γ is the same on all links.
     """
 
     def initial_memory(self, rows: int) -> FloatArray:
-        """κ_ij(0) per neighbour slot, shape (R, D)."""
+        """Return κ_ij(0) per neighbour slot, shape (R, D)."""
         return np.full((rows, self.layout.slots), self.initial_gain)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         return adaptive_inputs(observation, memory, self.gamma)
 
     def gains(self, memory: FloatArray) -> FloatArray:
-        """κ_ij of every link, in both directions."""
+        """Return κ_ij of every link, in both directions."""
         neighbours = np.array(self.layout.neighbours)
         return np.asarray(memory[neighbours != np.arange(len(neighbours))[:, None]])

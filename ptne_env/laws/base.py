@@ -22,7 +22,7 @@ class Law(RowPolicy):
     A subclass implements :meth:`inputs`, and :meth:`initial_memory` if it has memory.
 
     Args:
-        layout: of the environment's observations, ``env.layout``.
+        layout: the layout of the environment's observations, ``env.layout``.
 
     Raises:
         LayoutError: when the law cannot act through the layout's interface, or reads a slice that the layout lacks.
@@ -82,8 +82,8 @@ class Law(RowPolicy):
         """Return the inputs of the law, in float64 and before the action box clips them.
 
         Args:
-            observation: parsed, of R players.
-            memory: as returned by the previous call, or by :meth:`initial_memory`; one row per player.
+            observation: the observation of R players, parsed.
+            memory: what the previous call or :meth:`initial_memory` returned, one row per player.
 
         Returns:
             The inputs u^i in the unit of the observation, shape (R, n), and the memory for the next step.

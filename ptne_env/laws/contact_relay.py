@@ -75,7 +75,7 @@ class ContactRelayMemory(NamedTuple):
 
 
 class ContactRelay(RecordLaw):
-    """Best response from an identified model of the own gradient, and copies hop by hop.
+    """A law that copies estimates hop by hop, and takes best responses by an identified model of the own gradient.
 
     A component of another player moves by w_k × mean of (x^j_c − x^i_c) over the live sources j, which
     :func:`~ptne_env.laws.building_blocks.messages.find_sources` finds from own links, with the weight of
@@ -86,8 +86,9 @@ class ContactRelay(RecordLaw):
     than :func:`~ptne_env.laws.building_blocks.own_gradient.trust_radius`.
 
     Args:
-        layout: of the environment, interface ``physical``.
-        patience: steps in which the smallest change of messages does not halve, > 0, after which it is taken for noise.
+        layout: the layout of the environment, with the interface ``physical``.
+        patience: the number of steps, > 0, after which the smallest change of messages counts as noise if it has not
+            halved.
         forgetting: p of the weights p/(p + k) of an average over k steps of noisy messages, > 0: larger numbers forget
             the first messages faster. 1 is the mean of all.
 

@@ -13,13 +13,13 @@ from ptne_env.shared.arrays import BoolArray, FloatArray, array_namespace, requi
 
 
 def grounded_error(observation: Observation, leaders: BoolArray) -> FloatArray:
-    """−ξ^i_j = Σ_k a_ik (x^k_j − x^i_j) + a_ij (x^j_j − x^i_j): leader–follower consensus, shape (..., n).
+    """Return −ξ^i_j = Σ_k a_ik (x^k_j − x^i_j) + a_ij (x^j_j − x^i_j) of leader–follower consensus, shape (..., n).
 
-    Per component of the joint strategy; player j, the owner of the component, leads the estimates of it.
+    Player j, the owner of a component, leads the estimates of it.
 
     Args:
-        observation: of the players.
-        leaders: whether a component is of the neighbour in a slot, shape (..., D, n).
+        observation: the observation of the players.
+        leaders: whether the neighbour in a slot owns a component, shape (..., D, n).
     """
     error = consensus(observation.weights, observation.relative_estimates)
     error += consensus(observation.weights, observation.relative_estimates * leaders)
@@ -27,20 +27,21 @@ def grounded_error(observation: Observation, leaders: BoolArray) -> FloatArray:
 
 
 def grounded_inputs(observation: Observation, own: BoolArray, leaders: BoolArray, kappa: Any) -> FloatArray:
-    """−∂J_i/∂x_i(x^i) in the own components (..., n), and −κ ξ^i_j (:func:`grounded_error`) in others; (..., n)."""
+    """Return −∂J_i/∂x_i(x^i) in the own components, and −κ ξ^i_j (:func:`grounded_error`) in others; (..., n)."""
     error = kappa * grounded_error(observation, leaders)
     inputs: FloatArray = array_namespace(error).where(own, -observation.gradient, error)
     return inputs
 
 
 class Grounded(Law):
-    """u^i_i = −∂J_i/∂x_i(x^i); for j ≠ i, u^i_j = −κ ξ^i_j, with :func:`grounded_error`.
+    """Ye and Hu's law with a fixed gain, in effective time.
 
-    M. Ye and G. Hu, "Distributed Nash equilibrium seeking by a consensus based approach", IEEE Transactions on
-    Automatic Control 62(9), 2017, in effective time. A strategy follows its own gradient alone.
+    u^i_i = −∂J_i/∂x_i(x^i) and u^i_j = −κ ξ^i_j for j ≠ i, with :func:`grounded_error`: a strategy follows its own
+    gradient alone. M. Ye and G. Hu, "Distributed Nash equilibrium seeking by a consensus based approach", IEEE
+    Transactions on Automatic Control 62(9), 2017.
 
     Args:
-        layout: of the environment.
+        layout: the layout of the environment.
         kappa: κ ≥ 0.
 
     Raises:
@@ -58,16 +59,17 @@ class Grounded(Law):
 
 
 class AdaptiveGrounded(AdaptiveLaw):
-    """u^i_i = −∂J_i/∂x_i(x^i); for j ≠ i, u^i_j = −θ_ij ξ^i_j and dθ_ij/dτ = γ ‖ξ^i_j‖².
+    """Ye and Hu's law with adaptive gains, in effective time: the node-based law.
 
-    M. Ye and G. Hu, "Adaptive approaches for fully distributed Nash equilibrium seeking in networked games",
-    Automatica, 2021: the node-based law, in effective time. Every player tunes the gains of its own consensus errors,
-    so no gain must be known. (The edge-based law of that paper is of the kind of :class:`~ptne_env.laws.Adaptive`.)
-    The memory is θ_ij, one gain per component, shape (R, n), in natural units, and takes an Euler step of Θ_k.
+    u^i_i = −∂J_i/∂x_i(x^i), and for j ≠ i, u^i_j = −θ_ij ξ^i_j and dθ_ij/dτ = γ ‖ξ^i_j‖². M. Ye and G. Hu, "Adaptive
+    approaches for fully distributed Nash equilibrium seeking in networked games", Automatica, 2021. Every player tunes
+    the gains of its own consensus errors, so no gain must be known. (The edge-based law of that paper is of the kind of
+    :class:`~ptne_env.laws.Adaptive`.) The memory is θ_ij, one gain per component, shape (R, n), in natural units, and
+    takes an Euler step of Θ_k.
     """
 
     def initial_memory(self, rows: int) -> FloatArray:
-        """θ_ij(0) per component, shape (R, n)."""
+        """Return θ_ij(0) per component, shape (R, n)."""
         return np.full((rows, self.layout.dimension), self.initial_gain)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -78,5 +80,5 @@ class AdaptiveGrounded(AdaptiveLaw):
         return inputs, memory + observation.theta * np.where(own, 0.0, growth)
 
     def gains(self, memory: FloatArray) -> FloatArray:
-        """θ_ij of every player and component that it does not own."""
+        """Return θ_ij of every player and component that it does not own."""
         return np.asarray(memory[~self.layout.own_mask])

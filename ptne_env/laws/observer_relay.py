@@ -37,7 +37,7 @@ _NEAR = 2.0
 """A copy follows its source at once where the last two messages are farther away than this many deviations."""
 
 _HALF = 0.5
-"""Weight of a noisy copy otherwise."""
+"""The weight of a noisy copy otherwise."""
 
 _LIE, _GROSS = 4.0, 0.01
 """Error about the own strategy that a neighbour may make: in standard deviations, plus a share of the own estimate."""
@@ -67,7 +67,7 @@ class ObserverRelayMemory(NamedTuple):
 
 
 class ObserverRelay(RecordLaw):
-    """:class:`~ptne_env.laws.ContactRelay` with observers of noise, rounding, lies and neighbours' reactions.
+    """A contact relay that observes noise, rounding, lies and the reactions of neighbours.
 
     Of each neighbour's messages a player keeps private means; those of sources, weighted by their variances, are its
     *belief*. While an episode lasts, its estimates are nearly raw copies, because news must travel fast and averages
@@ -78,8 +78,8 @@ class ObserverRelay(RecordLaw):
     ``docs/mathematics.md`` explains it.
 
     Args:
-        layout: of the environment, interface ``physical``.
-        without: rules that are switched off, of :data:`RULES`, to measure what they bring.
+        layout: the layout of the environment, with the interface ``physical``.
+        without: the rules among :data:`RULES` that are switched off, to measure what they bring.
 
     Raises:
         LayoutError: for another interface.

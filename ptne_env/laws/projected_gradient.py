@@ -1,4 +1,4 @@
-"""A law of discrete time: it mixes with the neighbours, and then takes a projected gradient step."""
+"""Bianchi and Grammatico's law of discrete time, which takes projected gradient steps."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from ptne_env.shared.arrays import FloatArray, require_positive
 
 
 class ProjectedGradient(Law):
-    """x̂^i = Σ_j w_ij x^j, then x^i_i ← Π_i[x̂^i_i − α ∂J_i/∂x_i(x̂^i)] and x^i_j ← x̂^i_j, with W = I − h L.
+    """A law of discrete time that mixes with the neighbours, and then takes a projected gradient step.
 
-    M. Bianchi and S. Grammatico, "Fully distributed Nash equilibrium seeking over time-varying communication networks
-    with linear convergence rate", IEEE Control Systems Letters 5(2), 2021.
+    x̂^i = Σ_j w_ij x^j, then x^i_i ← Π_i[x̂^i_i − α ∂J_i/∂x_i(x̂^i)] and x^i_j ← x̂^i_j, with W = I − h L. M. Bianchi
+    and S. Grammatico, "Fully distributed Nash equilibrium seeking over time-varying communication networks with linear
+    convergence rate", IEEE Control Systems Letters 5(2), 2021.
 
     An iteration evaluates the gradient at the mixed estimates, while an environment shows gradients at the present
     ones. So an iteration takes two steps, a mixing step and a descent step, and is then exact. The deadline plays no
@@ -21,7 +22,7 @@ class ProjectedGradient(Law):
     environment projects strategies into its box. The memory is the number of steps done, shape (R, 1).
 
     Args:
-        layout: of the environment.
+        layout: the layout of the environment.
         step: α > 0.
         mixing: h > 0 with h Σ_j a_ij < 1 for every player, so that W is doubly stochastic.
 
@@ -34,7 +35,7 @@ class ProjectedGradient(Law):
         self.step, self.mixing = require_positive("step", step), require_positive("mixing", mixing)
 
     def initial_memory(self, rows: int) -> FloatArray:
-        """Number of steps done: 0, shape (R, 1)."""
+        """Return the number of steps done, which is 0, shape (R, 1)."""
         return np.zeros((rows, 1))
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:

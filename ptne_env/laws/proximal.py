@@ -1,4 +1,4 @@
-"""Proximal best response: the best response to the estimates, held near them, from an identified row of dF."""
+"""Proximal best responses: best responses that stay near the estimates, from an identified row of dF."""
 
 from __future__ import annotations
 
@@ -37,9 +37,10 @@ class ProximalMemory(NamedTuple):
 
 
 class ProximalBestResponse(RecordLaw):
-    """x^i_j ← ½ (x^i_j + x̂^i_j), x^i_i ← argmin_y J_i(y, new x^i_{-i}) + (‖y − x^i_i‖² + ‖y − x̂^i_i‖²)/(2α).
+    """A law that takes proximal best responses to the estimates, and averages the estimates with the neighbours'.
 
-    With x̂^i = Σ_j w_ij x^j and W = I − h L. M. Bianchi, G. Belgioioso and S. Grammatico, "A fully-distributed
+    x^i_j ← ½ (x^i_j + x̂^i_j) and x^i_i ← argmin_y J_i(y, new x^i_{-i}) + (‖y − x^i_i‖² + ‖y − x̂^i_i‖²)/(2α), with
+    x̂^i = Σ_j w_ij x^j and W = I − h L. M. Bianchi, G. Belgioioso and S. Grammatico, "A fully-distributed
     proximal-point algorithm for Nash equilibrium seeking with linear convergence rate", arXiv:1910.11613, 2019.
 
     A player sees its own gradient only, so the argmin is that of the quadratic model with the identified own row G of
@@ -52,11 +53,11 @@ class ProximalBestResponse(RecordLaw):
     is the argmin in the box where n_i = 1.
 
     Args:
-        layout: of the environment, interface ``physical``.
+        layout: the layout of the environment, with the interface ``physical``.
         step: α > 0.
         mixing: h > 0, with h Σ_j a_ij < 1 for every player.
-        spread: standard deviation of the entries of dF before anything is identified, > 0, in units of gradient per
-            strategy.
+        spread: the standard deviation of the entries of dF before anything is identified, > 0, in units of gradient
+            per strategy.
 
     Raises:
         ValueError: for a number that is not positive, or another interface.

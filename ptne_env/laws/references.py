@@ -1,4 +1,4 @@
-"""Reference policies for the ends of every table: no input, random actions, and an oracle."""
+"""Reference policies, which stand at the ends of every table: no input, random actions, and an oracle."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from ptne_env.shared.counter_random import uniforms
 
 
 class ZeroInput(Law):
-    """u = 0: estimates and strategies stay at the start."""
+    """A law that does nothing, u = 0: estimates and strategies stay at the start."""
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
         return np.zeros_like(observation.gradient), memory
 
 
 class Oracle(Law):
-    """u^i = (x* − x^i)/Θ: every player knows the game, and moves its estimate to the equilibrium within one step.
+    """A law that knows the equilibrium: u^i = (x* − x^i)/Θ moves every estimate there within one step.
 
-    The input limit stays, and binds where it is small. The law needs the interface ``full``, which ``parallel_env``
-    refuses, and every table marks it.
+    The input limit holds for it too. It needs the interface ``full``, which ``parallel_env`` refuses, and every table
+    marks it.
     """
 
     needs: ClassVar[tuple[str, ...]] = ("relative_equilibrium",)
@@ -36,15 +36,15 @@ class Oracle(Law):
 
 
 class RandomPolicy(RowPolicy):
-    """Actions drawn uniformly from the action box: a hash of the seed and of the player's own observation.
+    """A policy that draws actions uniformly from the action box, by a hash of the seed and of the own observation.
 
     So an observation gets the same action in every batch and place. The hash is the multiply-add of M. Dietzfelbinger,
     "Universal hashing and k-wise independent random variables via integer arithmetic without primes" (STACS 1996), of
     the observation's bits, and keys a stream of :mod:`ptne_env.shared.counter_random`.
 
     Args:
-        layout: of the environment; any interface.
-        seed: of the policy's own draws.
+        layout: the layout of the environment, with any interface.
+        seed: the seed of the policy's own draws.
 
     Raises:
         ValueError: for a negative seed.

@@ -46,7 +46,7 @@ class CoderMemory(NamedTuple):
 
 
 class ResidualCoder(RecordLaw):
-    """:class:`~ptne_env.laws.ObserverRelay` among players who tell each other small digits, made large.
+    """An observer relay among players who tell each other small digits in code, which makes them large.
 
     A round has two steps. In the first the estimates are z, in the second A (z mod g), which fills the range: who knows
     z to g/2 then knows it A times as well as the channel says it. After the round observer-relay moves z by what was
@@ -58,7 +58,7 @@ class ResidualCoder(RecordLaw):
     where messages are exact or too wrong, a neighbour tells no code, or its inputs do not reach; its neighbours follow.
 
     Args:
-        layout: of the environment, interface ``physical``.
+        layout: the layout of the environment, with the interface ``physical``.
 
     Raises:
         LayoutError: for another interface.

@@ -1,4 +1,4 @@
-"""Routed play: each component of the estimates travels from its owner to all other players, one link per step."""
+"""Routed play: estimates travel from the owner of a component to all other players, one link per step."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ class RoutedMemory(NamedTuple):
 
 
 class RoutedUnknown(RecordLaw):
-    """x^i_c ← mean of x^j_c over the live sources j of c, else x^i_c, and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i).
+    """A law that copies estimates from the neighbours that have them first, and takes gradient steps.
 
-    A player has no source of its own components. For those of others,
-    :func:`~ptne_env.laws.building_blocks.messages.find_sources` finds the sources from the own links alone. On a fixed
-    graph where the sources are the neighbours that are nearer to the owner of c, x^i_c is the owner's strategy d_ic
-    steps ago, d_ic being the hop count. That is gradient play with delays,
+    x^i_c ← mean of x^j_c over the live sources j of c, if there are any, and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i). A player
+    has no source of its own components; :func:`~ptne_env.laws.building_blocks.messages.find_sources` finds those of
+    others from the own links alone. On a fixed graph where the sources are the neighbours that are nearer to the owner
+    of c, x^i_c is the owner's strategy d_ic steps ago, d_ic being the hop count. That is gradient play with delays,
     x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k − d_i1), …, x_N(k − d_iN)).
 
     The step is the smaller one of η and 1/L, where L is the largest ‖Δ∂J_i/∂x_i‖/‖Δx_i‖ so far, of steps in which the
     own strategy moved more than the estimates of others: gradient steps above 2/L go too far.
 
     Args:
-        layout: of the environment.
+        layout: the layout of the environment.
         step: η > 0, the largest step.
 
     Raises:

@@ -10,7 +10,7 @@ from ptne_env.shared.arrays import FloatArray, require_non_negative, require_pos
 
 
 def static_inputs(observation: Observation, kappa: Any, gradient_gain: Any = 1.0) -> FloatArray:
-    """−g R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j), eq. (10) of the paper, shape (..., n)."""
+    """Return −g R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j), eq. (10) of the paper, shape (..., n)."""
     pull = consensus(observation.weights, observation.relative_estimates)
     inputs: FloatArray = kappa * pull - gradient_gain * observation.gradient
     return inputs
@@ -19,10 +19,10 @@ def static_inputs(observation: Observation, kappa: Any, gradient_gain: Any = 1.0
 class Static(Law):
     """The static law of the paper (Theorem 1), :func:`static_inputs`.
 
-    The environment's dynamics supply the time gain c + 1/(T − t). g ≠ 1 is the same law for the costs g J_i.
+    The dynamics of the environment supply the time gain c + 1/(T − t). With g ≠ 1 it is the law for the costs g J_i.
 
     Args:
-        layout: of the environment.
+        layout: the layout of the environment.
         kappa: κ ≥ 0.
         gradient_gain: g > 0.
 
@@ -40,13 +40,14 @@ class Static(Law):
 
 
 class CorollaryOne(Static):
-    """u^i = (Δt_k/Θ_k) (−R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j)), so that dx^i/dt has no time gain.
+    """The static law without the time gain (Corollary 1).
 
-    Corollary 1, which prints e^i − e^j where x^i − x^j is meant (docs/errata.md, 5). The environment multiplies every
-    input by Θ_k, so the law divides by it. At κ = 1 it is Gadjov and Pavel's law.
+    u^i = (Δt_k/Θ_k) (−R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j)). The environment multiplies every input by Θ_k, so
+    the law divides by it. Corollary 1 prints e^i − e^j where x^i − x^j is meant (docs/errata.md, 5). At κ = 1 it is
+    Gadjov and Pavel's law.
 
     Args:
-        layout: of the environment.
+        layout: the layout of the environment.
         kappa: κ ≥ 0.
 
     Raises:
