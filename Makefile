@@ -1,6 +1,7 @@
 # Two commands, each complete on a fresh machine with Python 3.11 or newer and make:
 #   make compare   installs the package in .venv, runs laws and learned policies on ptne-v1, ends with the answer
 #   make test      installs test tools with PyTorch, runs linters, types and tests
+# While you work: make quick.
 
 PYTHON ?= python3
 VENV   ?= .venv
@@ -10,12 +11,23 @@ PIP     = $(BIN)/pip install --no-compile --disable-pip-version-check --constrai
 PYTEST  = $(BIN)/pytest --numprocesses auto --dist worksteal
 CORE    = tests/shared tests/games tests/world tests/perception tests/laws tests/envs tests/evaluation tests/test_import.py tests/test_misuse.py
 
-.PHONY: compare test lint types unit core publish reproduce docs ecosystem soak smoke ray lowest newest clean
+.PHONY: compare test quick lint types unit core publish reproduce docs ecosystem soak dist smoke release-check ray lowest \
+	newest clean
 
 compare: $(VENV)/.bench
 	$(BIN)/ptne compare --out $(OUT)/ptne-v1
 
 test: lint types unit
+
+# The core in half a minute, without installing anything anew. It leaves out the tests of the core that take longest: laws
+# (one file stays, which compares them with an independent program), fresh interpreters, pictures, adapters to PyTorch's
+# libraries, and the audit of shipped policies.
+QUICK = $(filter-out tests/laws tests/test_import.py,$(CORE)) tests/laws/test_against_reference.py tests/test_golden.py
+LEFT  = $(addprefix tests/,envs/test_rendering.py envs/test_sb3.py envs/test_torchrl.py evaluation/test_audit.py)
+quick:
+	@test -x $(BIN)/pytest || $(MAKE) $(VENV)/.test
+	$(PYTEST) --quiet $(QUICK) $(addprefix --ignore ,$(LEFT))
+	@echo 'Left out: tests/laws but for one file, tests/test_import.py $(LEFT), all layers, linters, types'
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
@@ -42,8 +54,8 @@ reproduce: $(VENV)/.bench
 	$(BIN)/python baselines/reproduce.py --out $(OUT)/paper
 
 docs: $(VENV)/.docs
-	$(BIN)/sphinx-build --builder html --jobs auto --conf-dir docs --quiet . $(OUT)/site
-	@echo 'Site written to $(OUT)/site/docs/index.html: open it in a browser'
+	$(BIN)/sphinx-build --builder html --conf-dir docs --fail-on-warning --jobs auto --quiet . $(OUT)/site
+	@echo 'Site written to $(OUT)/site/index.html: open it in a browser'
 
 # The examples of other frameworks, each in an environment of its own in .ecosystem/, which take 20 GB.
 ecosystem: $(VENV)/bin/python
@@ -58,18 +70,26 @@ soak: core $(VENV)/.test
 	NPY_DISABLE_CPU_FEATURES="$$($(BIN)/python -c '$(SIMD)')" $(PYTEST)
 	$(BIN)/python tests/soak.py --episodes 100000
 
-# Wheel and source archive, each installed in an empty environment and used outside the source tree.
+# Wheel and source archive in dist/.
+dist:
+	rm -rf dist
+	$(PYTHON) -m venv --clear $(VENV)-dist
+	$(VENV)-dist/bin/pip install --quiet --disable-pip-version-check build twine
+	$(VENV)-dist/bin/python -m build .
+	$(VENV)-dist/bin/twine check --strict dist/*
+
+# Each of them installed in an empty environment and used outside the source tree.
 smoke: SMOKE := $(abspath $(VENV)-smoke)
-smoke:
-	$(PYTHON) -m venv --clear $(SMOKE)
-	$(SMOKE)/bin/pip install --quiet --disable-pip-version-check build twine
-	$(SMOKE)/bin/python -m build --outdir $(SMOKE)/dist .
-	$(SMOKE)/bin/twine check --strict $(SMOKE)/dist/*
-	for archive in $(SMOKE)/dist/*; do \
-		$(PYTHON) -m venv --clear $(SMOKE)/empty && cp tests/smoke.py $(SMOKE)/empty && (cd $(SMOKE)/empty && \
+smoke: dist
+	for archive in $(abspath dist)/*; do \
+		$(PYTHON) -m venv --clear $(SMOKE) && cp tests/smoke.py $(SMOKE) && (cd $(SMOKE) && \
 		bin/pip install --quiet --disable-pip-version-check $$archive && bin/python -W error smoke.py && \
 		bin/pip install --quiet --disable-pip-version-check "$$archive[bench]" && bin/python smoke.py bench) || exit 1; \
 	done
+
+# Whether this commit may be tagged and released: says what is missing.
+release-check: dist $(VENV)/.bench
+	PYTHONPATH=baselines $(BIN)/python tests/release_check.py
 
 # The tests of a Ray cluster of two nodes on this machine, whose second node is killed in the middle.
 ray: $(VENV)/.test
@@ -85,7 +105,8 @@ lowest newest:
 	$(VENV)-$@/bin/pip install --quiet --disable-pip-version-check uv
 	$(VENV)-$@/bin/uv pip install --quiet --python $(VENV)-$@/bin/python --resolution $(RESOLUTION) \
 		--editable '.[bench]' 'hypothesis>=6.100' 'pytest>=8.3' 'pytest-xdist>=3.6'
-	$(VENV)-$@/bin/pytest --numprocesses auto --dist worksteal --ignore tests/test_docs.py --ignore tests/test_examples.py
+	$(VENV)-$@/bin/pytest --numprocesses auto --dist worksteal \
+		--ignore tests/test_docs.py --ignore tests/test_examples.py --ignore tests/test_porch.py
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit("ptne_env needs Python 3.11 or newer, $(PYTHON) is " + sys.version.split()[0] + "; set PYTHON=...") if sys.version_info < (3, 11) else 0'
@@ -98,4 +119,4 @@ $(VENV)/.bench $(VENV)/.docs $(VENV)/.test: $(VENV)/.%: pyproject.toml constrain
 	touch $@
 
 clean:
-	rm -rf $(VENV) $(VENV)-* $(OUT)
+	rm -rf $(VENV) $(VENV)-* $(OUT) dist

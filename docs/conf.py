@@ -2,6 +2,7 @@
 """The documentation site, built by ``make docs`` from the Markdown files that GitHub shows and from the docstrings."""
 
 import re
+from pathlib import Path
 from typing import Any
 
 from sphinx.application import Sphinx
@@ -39,7 +40,15 @@ def _escape(_app: Sphinx, _what: str, _name: str, _obj: object, _options: object
     lines[:] = [re.sub(r"(``.*?``)|([|*])", lambda found: found[1] or f"\\{found[2]}", line) for line in lines]
 
 
+def _redirect(app: Sphinx, error: Exception | None) -> None:
+    """Lead from the address of the site to its first page, which stands in a folder."""
+    if error is None:
+        page = f'<meta http-equiv="refresh" content="0; url={root_doc}.html">'
+        Path(app.outdir, "index.html").write_text(page, encoding="utf-8")
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Register the function above, before napoleon adds markup of its own."""
+    """Register the functions above, the first before napoleon adds markup of its own."""
     app.connect("autodoc-process-docstring", _escape, priority=100)
+    app.connect("build-finished", _redirect)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
