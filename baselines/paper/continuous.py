@@ -188,6 +188,11 @@ class Run:
         norms = np.linalg.norm(self.errors, axis=(1, 2))
         return norms / (np.sqrt(self.game.num_players) * float(self.game.equilibrium_scale[0]))
 
+    def input_norm(self, sample: int, mode: int) -> float:
+        """‖**u**‖ of the law at a sample on the graph ``mode``; at a switch, that before or after it."""
+        u, _ = _Loop(self.game, self.topology).slopes(self.errors[sample], self.gains[sample], mode)
+        return float(np.linalg.norm(u))
+
     def strategy_distance_at(self, t: float) -> float:
         """The strategies' distance at the last sample up to ``t`` seconds; at T, the end of the approach."""
         return float(self.strategy_distance[np.searchsorted(self.timeline.t, t, side="right") - 1])

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 
 from paper.continuous import Run, exact_static, plain_timeline, prescribed_timeline, simulate
-from ptne_env.games import EnergyGame, Game, NonQuadraticGame
+from ptne_env.games import AffineGame, EnergyGame, Game, NonQuadraticGame
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.theory import MonotonicityConstants, closed_loop_matrix, gain_bound, monotonicity_constants
 from ptne_env.world.clock import Exponential, TimeTransformation
-from ptne_env.world.graphs import cycle
+from ptne_env.world.graphs import Graph, cycle, from_edges, path
 from ptne_env.world.starts import PaperStart
 from ptne_env.world.switching import SwitchingTopology, TopologyClock, fixed, paper_topology
 
@@ -33,6 +34,10 @@ DWELLS: dict[TopologyClock, float] = {"physical": 0.1, "transformed": 0.25}
 """Dwell time of a mode on each clock: Γ/4 of the paper in seconds, and ours in units of s."""
 PERIODS = (0.8, 0.4, 0.2, 0.1)
 """Periods Γ in seconds that erratum 2 compares."""
+ROTATION = 10.0
+"""Size of the skew-symmetric part of F in the counterexamples of erratum 2."""
+SMALL_GAMMA = 0.01
+"""γ_ij in the counterexamples of erratum 2."""
 
 
 class Experiments:
@@ -112,6 +117,33 @@ class Experiments:
         """Theorem 4's law on Example 1 by the period Γ in seconds of a topology that dwells in t."""
         topologies = {period: paper_topology(period / 4, "physical") for period in PERIODS}
         return {period: self._adaptive(self.energy, topology, 0.0, 501) for period, topology in topologies.items()}
+
+    @cached_property
+    def rotating(self) -> AffineGame:
+        """Five players with F = (I + 10 K) x, K skew-symmetric, drawn with seed 0, and of norm 1: ε = 1."""
+        drawn = np.random.default_rng(0).normal(size=(5, 5))
+        skew = drawn - drawn.T
+        return AffineGame(np.eye(5) + ROTATION * skew / np.linalg.norm(skew, 2), np.zeros(5))
+
+    @cached_property
+    def counterexamples(self) -> dict[str, Run]:
+        """Theorem 4's law on strongly monotone games over topologies that dwell 0.25 in s, from estimates of 1.
+
+        Two players who are linked in every other dwell, five over the paper's modes, and the same five over two cycles.
+        """
+        pair = AffineGame([[1.0, ROTATION], [-ROTATION, 1.0]], [0.0, 0.0])
+        cycles = [cycle(5), from_edges(5, [(0, 2), (2, 4), (4, 1), (1, 3), (3, 0)])]
+        return {
+            "two players": self._rotate(pair, [from_edges(2, []), path(2)], 5.0),
+            "five players": self._rotate(self.rotating, paper_topology().graphs, 12.0),
+            "connected modes": self._rotate(self.rotating, cycles, S_END),
+        }
+
+    def _rotate(self, game: Game, modes: Sequence[Graph], s_end: float) -> Run:
+        topology = SwitchingTopology(modes, [DWELLS["transformed"]] * len(modes), "transformed")
+        timeline = prescribed_timeline(topology, self.transformation, GAIN, s_end=s_end, samples=501)
+        start = np.ones((game.num_players, game.dimension))
+        return simulate(game, topology, start, timeline, initial_gain=INITIAL_GAIN, gamma=SMALL_GAMMA)
 
     def _plain(self, kappa: float) -> Run:
         timeline = plain_timeline(self.ring, 30.0)

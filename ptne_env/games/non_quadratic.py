@@ -17,7 +17,8 @@ class NonQuadraticGame(Game):
 
     J4 = w x4 + x4² + x3³, where w = 1 as printed (ln e^{x4}) and w = 4 in the corrected variant, the only one with
     the equilibrium that the paper prints (docs/errata.md, 1). F is neither strongly monotone nor globally
-    Lipschitz, and J2 is unbounded below in x2 wherever x4 ≥ 0, so there is no best response.
+    Lipschitz, and J2 has no minimiser in x2 where x4 ≥ 0 (it is unbounded below where x4 > 0), so there is no best
+    response.
 
     Args:
         variant: ``"corrected"`` or ``"printed"``.

@@ -65,7 +65,9 @@ def check_assumptions(world: World, constants: MonotonicityConstants) -> tuple[A
     smallest = min(graph.algebraic_connectivity for graph in topology.graphs)
     joint = topology.union.algebraic_connectivity
     connected = "the fixed graph is connected" if topology.is_fixed else "every graph is connected at every instant"
-    union = "λ2 of the union graph" + ", almost surely" * (topology.is_random and smallest == 0)
+    # A random topology stays longer than any given time in one disconnected mode, now and then.
+    is_uniform = not topology.is_random or smallest > 0
+    union = "λ2 of the union graph" + " (over all time, almost surely, within no fixed ν)" * (not is_uniform)
     curvature, meaning, convex = _judge_convexity(world.game)
     kind = "exact" if constants.exact else f"from {SAMPLES} samples within {constants.radius:g} of x*"
     monotone: Verdict = "fails" if constants.epsilon <= 0 else "holds" if constants.exact else "sampled only"
@@ -73,7 +75,11 @@ def check_assumptions(world: World, constants: MonotonicityConstants) -> tuple[A
         _check_lemma(world),
         AssumptionCheck("Assumption 1", connected, smallest, "smallest λ2 over the modes", _holds(smallest > 0)),
         AssumptionCheck(
-            "Assumption 2", "the graphs are jointly connected over a period", joint, union, _holds(joint > 0)
+            "Assumption 2",
+            "the graphs are jointly connected within some ν",
+            joint,
+            union,
+            _holds(joint > 0 and is_uniform),
         ),
         AssumptionCheck(
             "Assumption 3", "each J_i is strictly convex and radially unbounded in x_i", curvature, meaning, convex
@@ -173,11 +179,14 @@ class GameReport:
         strictly_convex: per player, whether every sampled chord of J_i in its own strategy lies above J_i.
         radially_unbounded: per player, whether J_i grew along every sampled ray of its own strategy; true where the box
             is bounded, as a minimiser exists then.
+        equilibrium_error: why no equilibrium was found; ``None`` where one was. Convex, radially unbounded costs do not
+            guarantee one (docs/errata.md, 8).
     """
 
     gradient_error: float
     strictly_convex: tuple[bool, ...]
     radially_unbounded: tuple[bool, ...]
+    equilibrium_error: str | None
 
     @property
     def gradients_agree(self) -> bool:
@@ -186,12 +195,12 @@ class GameReport:
 
     @property
     def assumption_3_holds(self) -> bool:
-        """Whether every cost was strictly convex and radially unbounded in its own strategy on all samples."""
-        return all(self.strictly_convex) and all(self.radially_unbounded)
+        """Whether all costs were strictly convex and radially unbounded on samples, and an equilibrium was found."""
+        return all((*self.strictly_convex, *self.radially_unbounded)) and self.equilibrium_error is None
 
 
 def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int = 0) -> GameReport:
-    """Compare own gradients with numerical derivatives, and test each J_i for convexity and growth in x_i.
+    """Compare own gradients with numerical derivatives, test each J_i for convexity and growth in x_i, and find x*.
 
     Samples can refute an assumption but not prove it. All of them lie in the game's box. For Assumption 4 see
     :func:`~ptne_env.theory.monotonicity_constants`.
@@ -224,7 +233,12 @@ def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int 
         direction /= np.linalg.norm(direction, axis=0)
         convex.append(_is_strictly_convex(game, points, player, block, direction))
         unbounded.append(_grows_along_rays(game, points, player, block, direction))
-    return GameReport(error, tuple(convex), tuple(unbounded))
+    equilibrium_error = None
+    try:
+        game.nash_equilibria  # noqa: B018 - solved and verified here
+    except ArithmeticError as reason:
+        equilibrium_error = str(reason)
+    return GameReport(error, tuple(convex), tuple(unbounded), equilibrium_error)
 
 
 def _require_shape(

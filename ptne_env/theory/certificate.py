@@ -27,7 +27,7 @@ from ptne_env.theory.closed_loop import (
     sampled_loop,
 )
 from ptne_env.theory.conditions import Condition, condition
-from ptne_env.theory.constants import problem_constants
+from ptne_env.theory.constants import last_modes, problem_constants
 from ptne_env.world import distances
 from ptne_env.world.channels import Chain
 from ptne_env.world.scenario import Scenario
@@ -285,9 +285,16 @@ def _scenario_notes(world: World, *, covers_range: bool = False) -> Iterator[str
         yield "the scenario draws games: the numbers are those of the typical game"
     if not topology.is_fixed and topology.clock == "physical" and not topology.is_random:
         switches = topology.switches(0.0, scenario.deadline).size
+        frozen = topology.graphs[last_modes(topology, scenario.deadline)[0]]
+        failing = " and disconnected, so Assumption 2 fails in the transformed time of the proof (docs/errata.md, 2)"
         yield (
-            f"the topology dwells in t: it switches {switches} times before T and its last graph is then frozen, so "
-            "Assumption 2 fails in the transformed time of the proof (docs/errata.md, 2)"
+            f"the topology dwells in t: it switches {switches} times before T and its last graph is then frozen"
+            f"{failing * (not frozen.is_connected)}"
+        )
+    elif not all(graph.is_connected for graph in topology.graphs):
+        yield (
+            "a mode is disconnected: nothing is proven of the paper's laws, which converge in Example 1 and diverge in "
+            "other games that satisfy all assumptions (docs/errata.md, 2)"
         )
     for fault in _faults(world):
         yield f"no number includes {fault}"

@@ -70,8 +70,16 @@ def _strongly_monotone(constants: ProblemConstants) -> Condition:
     return Condition.above("F is strongly monotone: ε > 0", constants.epsilon, 0.0, exact=constants.exact)
 
 
+def _adapting_gains(law: Adaptive | AdaptiveGrounded) -> Condition:
+    return Condition.above("the gains adapt: γ > 0", np.min(law.gamma), 0.0)
+
+
 def _fixed_graph(constants: ProblemConstants) -> Condition:
     return Condition.below("the graph is fixed: number of graphs < 2", len(constants.graphs), 2)
+
+
+def _connected_modes(constants: ProblemConstants) -> Condition:
+    return Condition.above("every mode is connected: λ2 > 0", constants.connectivity, 0.0)
 
 
 def _all_links_recur(constants: ProblemConstants) -> Condition:
@@ -97,13 +105,11 @@ def static_condition(law: Static, constants: ProblemConstants) -> Condition:
 
 
 def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
-    """ε > 0, and the graphs that act as s → ∞ are (jointly) connected (Theorems 3 and 4); γ > 0 on all links."""
-    connectivity = min(graph.algebraic_connectivity for graph in constants.recurring)
-    return decisive(
-        Condition.above("the gains adapt: γ > 0", law.gamma, 0.0),
-        Condition.above("the graphs are connected as s → ∞: λ2 > 0", connectivity, 0.0),
-        _strongly_monotone(constants),
-    )
+    """γ > 0 on all links, ε > 0, and every mode connected: the W of Theorem 3 then serves all modes, on either clock.
+
+    Joint connectivity, as in Theorem 4, is not enough (docs/errata.md, 2).
+    """
+    return decisive(_adapting_gains(law), _connected_modes(constants), _strongly_monotone(constants))
 
 
 def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
@@ -136,12 +142,8 @@ def _grounded_connectivity(constants: ProblemConstants) -> float:
 
 
 def adaptive_grounded_condition(law: AdaptiveGrounded, constants: ProblemConstants) -> Condition:
-    """γ > 0, ε > 0 and every graph connected: with H the grounded Laplacian, V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
-    return decisive(
-        Condition.above("the gains adapt: γ > 0", law.gamma, 0.0),
-        Condition.above("every graph is connected: λ2 > 0", constants.connectivity, 0.0),
-        _strongly_monotone(constants),
-    )
+    """γ > 0, ε > 0 and a fixed graph, as H, the grounded Laplacian, is in V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
+    return decisive(_adapting_gains(law), _fixed_graph(constants), _strongly_monotone(constants))
 
 
 def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConstants) -> Condition:

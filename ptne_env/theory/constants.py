@@ -102,7 +102,7 @@ class ProblemConstants(MonotonicityConstants):
         owners: the player that owns each component, shape (n,).
         graphs: the modes of the topology.
         recurring: the graphs whose links act again and again as s → ∞: the union of all modes on the transformed clock,
-            each mode that may be the last on the physical clock (docs/errata.md, 2).
+            each mode that may be the last on the physical clock.
     """
 
     jacobian: FloatArray

@@ -37,6 +37,15 @@ def test_costs_are_those_of_the_paper():
     assert EnergyGame().costs(x[:, None])[:, 0] == pytest.approx(expected, rel=1e-14)
 
 
+def test_the_game_is_aggregative_and_has_a_potential():
+    """Others enter a cost through Σ x_j alone, and F is a gradient."""
+    game, x = EnergyGame(), np.arange(5.0)[:, None]
+    moved = x + np.array([[0.0], [1.0], [-3.0], [2.0], [0.0]])  # the same sum
+    assert game.costs(moved)[[0, 4]] == pytest.approx(game.costs(x)[[0, 4]])
+    slopes = game.jacobian(x)[:, :, 0]
+    assert np.array_equal(slopes, slopes.T)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

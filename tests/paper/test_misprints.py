@@ -1,6 +1,7 @@
-"""Misprints in the paper's proofs, errata 5d to 5h: what is printed fails on an error, and what is meant holds."""
+"""Slips in the paper's proofs and definitions, errata 5d to 5h and 10: what is printed fails, what is meant holds."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,3 +84,25 @@ def test_erratum_5h_theta_is_missing_in_49(experiments, gradients):
     squares = theta * (constants.iota * 0.01**2 - consensus - constants.epsilon)
     cross = 2 * constants.iota * 0.01  # ‖ψ̄ − x*‖ = 1
     assert squares + cross + 0.5 < change <= squares + theta * cross
+
+
+def test_erratum_10a_strong_monotonicity_is_not_strict(experiments):
+    """Along the eigenvector of ε the two sides are equal; for a larger ε the left one is smaller."""
+    jacobian, epsilon = jacobian_at_equilibrium(experiments.energy), experiments.constants.epsilon
+    direction = np.linalg.eigh((jacobian + jacobian.T) / 2)[1][:, 0]
+    assert direction @ jacobian @ direction == pytest.approx(epsilon, rel=1e-12)
+    assert direction @ jacobian @ direction < 1.01 * epsilon
+
+
+def test_erratum_10b_w_rests_at_the_equilibrium_for_all_gains(experiments):
+    """Where all estimates are x*, neither they nor the gains move, so W' = 0, and W > 0 unless all gains are γ*."""
+    run = experiments.adaptive
+    settled = replace(run, errors=np.zeros_like(run.errors))
+    assert settled.input_norm(0, 0) < 1e-12
+    assert ((run.gains[0] - 10.0) ** 2).sum() > 0
+
+
+def test_erratum_2_no_mode_of_the_example_is_connected(experiments):
+    topology = experiments.switching["physical"].topology
+    assert topology.union.algebraic_connectivity > 1
+    assert max(graph.algebraic_connectivity for graph in topology.graphs) == 0

@@ -8,7 +8,7 @@ import random
 import fuzz
 import numpy as np
 import pytest
-from affine_games import SOAK, random_affine
+from affine_games import SOAK, affine_scenario, random_affine
 from sample_laws import Damped, Sign, condition_on
 from worlds import fixed_part, world_and_encoder
 
@@ -195,7 +195,30 @@ def test_certificate_tells_of_a_frozen_graph():
     certificate = theory.certify(get_scenario("energy-switching"))
     assert [check.verdict for check in certificate.assumptions[1:3]] == ["fails", "holds"]
     assert certificate.rate == 0.0
-    assert any("switches 11 times before T and its last graph is then frozen" in note for note in certificate.notes)
+    assert any("11 times before T and its last graph is then frozen and disconn" in note for note in certificate.notes)
+
+
+def test_the_counterexample_of_theorem_4_is_not_certified():
+    """Two players with F = (x1 + 10 x2, x2 − 10 x1), with and without their link: ε = 1, jointly connected."""
+    graphs = [fixed_part([[0, weight], [weight, 0]]) for weight in (0.0, 1.0)]
+    scenario = affine_scenario(
+        [[1, 10], [-10, 1]],
+        [0, 0],
+        FactorySpec.of("topology:periodic", graphs=graphs, dwells=[0.25, 0.25], clock="transformed"),
+        start=FactorySpec.of("start:fixed", estimates=[[1.0, 1.0], [1.0, 1.0]]),
+    )
+    certificate = theory.certify(scenario, laws.Adaptive)
+    assert [check.verdict for check in certificate.assumptions[2:]] == ["holds"] * 3
+    assert not certificate.condition.holds
+    assert any("nothing is proven of the paper's laws" in note for note in certificate.notes)
+    assert certificate.rate < 0
+
+
+def test_random_graphs_are_jointly_connected_within_no_fixed_time():
+    scenario = get_scenario("energy", topology=RANDOM_GRAPH)
+    check = theory.certify(scenario).assumptions[2]
+    assert (check.verdict, check.value > 0) == ("fails", True)
+    assert "within no fixed ν" in check.meaning
 
 
 class Wrong(Exponential):

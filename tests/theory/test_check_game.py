@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from sample_games import BlockGame, CubicGame, ForgetfulEnergyGame
 
-from ptne_env.games import EnergyGame
+from ptne_env.games import AffineGame, EnergyGame
 from ptne_env.theory import check_game
 
 
@@ -41,6 +41,15 @@ def test_concave_cost_is_reported_for_its_player():
     assert report.gradients_agree
     assert report.strictly_convex == (True, False, True, True, True)
     assert report.radially_unbounded == (True, False, True, True, True)
+
+
+def test_a_game_without_an_equilibrium_is_told_of():
+    """J1 = ½(x1 − x2 − 1)² and J2 = ½(x2 − x1)² satisfy Assumption 3, and F1 + F2 = −1 everywhere."""
+    report = check_game(AffineGame([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 0.0]))
+    assert report.strictly_convex == report.radially_unbounded == (True, True)
+    assert "no single Nash equilibrium" in report.equilibrium_error
+    assert not report.assumption_3_holds
+    assert check_game(EnergyGame()).equilibrium_error is None
 
 
 def test_unbounded_decrease_is_not_radial_growth():

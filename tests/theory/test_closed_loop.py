@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from affine_games import random_affine
 from sample_games import BlockGame
 from sample_laws import Damped, Sign
 from scipy import linalg
 from worlds import BLOCKS, world_and_encoder
 
 from ptne_env import get_scenario, laws, theory
-from ptne_env.games import EnergyGame
+from ptne_env.games import AffineGame, EnergyGame
 from ptne_env.theory.closed_loop import NoClosedLoopError
 from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational
 from ptne_env.world.graphs import Graph, cycle, path
@@ -76,6 +77,17 @@ def test_rate_on_the_cycle_is_that_of_the_matrix_exponential():
     matrix = matrices(fixed(cycle(5)))[0]
     late, later = (np.linalg.norm(linalg.expm(-matrix * tau), 2) for tau in (60.0, 80.0))
     assert np.log(late / later) / 20 == pytest.approx(RATE, rel=1e-6)
+
+
+@pytest.mark.parametrize("players", [3, 6])
+def test_for_a_large_gain_the_rate_is_that_of_gradient_play_shared_by_all_players(players):
+    """Min Re eig(dF)/N, which is more than ε/N where F is not symmetric."""
+    matrix, offset, _ = random_affine(np.random.default_rng(0), players, coupling=2.0)
+    game = AffineGame(matrix, offset)
+    slowest = np.linalg.eigvals(matrix).real.min()
+    assert theory.monotonicity_constants(game).epsilon < 0.9 * slowest
+    rate = theory.spectral_abscissa(theory.closed_loop_matrix(game, cycle(players), 1e6))
+    assert rate == pytest.approx(slowest / players, rel=1e-3)
 
 
 def test_rate_in_t_is_that_of_the_last_graph():

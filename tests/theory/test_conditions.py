@@ -9,6 +9,7 @@ from worlds import fixed_part
 from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.parts import PARTS, resolve
+from ptne_env.world.graphs import from_edges
 from ptne_env.world.world import World
 
 RANDOM = range(200 if SOAK else 6)
@@ -56,9 +57,39 @@ def test_only_links_that_act_again_and_again_count_as_s_grows():
     transformed = theory.problem_constants(World(CATALOGUE["energy-switching-transformed"]))
     assert transformed.connectivity == 0
     assert [graph.is_connected for graph in transformed.recurring] == [True]
-    assert not condition_on("energy-switching", laws.Adaptive).holds  # its last graph is disconnected
-    assert condition_on("energy-switching-transformed", laws.Adaptive).holds
-    assert not condition_on("energy-switching-transformed", laws.Static).holds
+    assert condition_on("energy-switching-transformed", laws.ContactRelay).holds
+    assert not condition_on("energy-switching", laws.ContactRelay).holds  # links of its last graph alone recur
+
+
+MODES = {
+    "disconnected": [[(0, 1), (2, 3)], [(1, 2), (3, 4)], [(2, 3), (4, 0)], [(3, 4), (0, 1)]],
+    "connected": [[(0, 1), (1, 2), (2, 3), (3, 4)], [(0, 2), (2, 4), (4, 1), (1, 3)]],
+}
+
+
+@pytest.mark.parametrize("clock", ["physical", "transformed"])
+@pytest.mark.parametrize("modes", MODES)
+@pytest.mark.parametrize("law", ["law:adaptive", "law:static"])
+def test_the_paper_s_laws_are_proven_where_every_mode_is_connected(law, modes, clock):
+    """Over the first modes, which are jointly connected, both diverge for some strongly monotone F (errata.md, 2)."""
+    graphs = [fixed_part(from_edges(5, edges).adjacency.tolist()) for edges in MODES[modes]]
+    dwell = 0.25 if clock == "transformed" else 0.1
+    topology = FactorySpec.of("topology:periodic", graphs=graphs, dwells=[dwell] * len(graphs), clock=clock)
+    arguments = {"kappa": 1e3} if law == "law:static" else {}
+    certificate = theory.certify(
+        get_scenario("energy", topology=topology, start="paper"), FactorySpec.of(law, **arguments)
+    )
+    assert [certificate.condition.holds, certificate.condition.exact] == [modes == "connected", True]
+    told = any("nothing is proven" in note or "frozen and disconnected" in note for note in certificate.notes)
+    assert told == (modes == "disconnected")
+
+
+def test_the_law_of_ye_and_hu_with_gains_that_adapt_is_proven_on_fixed_graphs_alone():
+    """H, which depends on the graph, is in their Lyapunov function."""
+    graphs = [fixed_part(from_edges(5, edges).adjacency.tolist()) for edges in MODES["connected"]]
+    topology = FactorySpec.of("topology:periodic", graphs=graphs, dwells=[0.25] * 2, clock="transformed")
+    assert not condition_on(get_scenario("energy", topology=topology), laws.AdaptiveGrounded).holds
+    assert condition_on("energy", laws.AdaptiveGrounded).holds
 
 
 @pytest.mark.parametrize("scenario", ["energy", "energy-switching", "non-quadratic", "ev-charging"])

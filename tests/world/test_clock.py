@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import integrate
 
 from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational, StepClock
 
@@ -116,3 +117,12 @@ def test_default_episode_stops_0_03_percent_short_of_the_deadline():
 def test_without_constant_gain_theta_is_the_transformed_step():
     clock = StepClock(Exponential(1.2), gain=0.0, steps=10, s_end=5.0)
     assert clock.theta[:-1] == pytest.approx(np.full(10, 0.5))
+
+
+def test_a_step_with_the_input_held_solves_the_differential_equation():
+    """dx/dt = (c + 1/(T − t)) u close to the deadline, by a solver of differential equations."""
+    clock = StepClock(Exponential(1.2), gain=20.0, steps=400, s_end=8.0)
+    k, x, u = 390, 3.0, -0.7
+    span = (clock.t[k], clock.t[k] + clock.dt[k])
+    solved = integrate.solve_ivp(lambda t, _: [(20.0 + 1 / (1.2 - t)) * u], span, [x], rtol=1e-12, atol=1e-12)
+    assert x + clock.theta[k] * u == pytest.approx(solved.y[0, -1], abs=1e-10)
