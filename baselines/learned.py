@@ -222,7 +222,7 @@ OUTSIDE = (
 
 def train(name: str, seeds: list[int], out: Path) -> None:
     """Train a recipe with several seeds, and replace the shipped file."""
-    from ptne_env.learn.training import through_world
+    from ptne_env.training import through_world
 
     def show(done: int, total: int, digits: float) -> None:
         if done % 50 == 0:
@@ -244,18 +244,18 @@ def train(name: str, seeds: list[int], out: Path) -> None:
 
 def ship(name: str, folders: list[Path]) -> None:
     """Replace the shipped file by the best policy in training."""
-    runs = [recurrent.opened(path, path.read_bytes()) for path in (folder / "policy.npz" for folder in folders)]
+    runs = [learn.load(folder / "policy.npz") for folder in folders]
     best = max(runs, key=lambda run: float(run.training["digits"]))
     start = Path(best.training["start"]).parent.parent.name  # the recipe, on every machine
     shipped = Path(learn.__file__).parent / f"recurrent-{name}.npz"
-    write_atomically(shipped, recurrent.sealed(best.weights, best.training | {"start": start}))
+    write_atomically(shipped, recurrent.seal(best.weights, best.training | {"start": start}))
 
 
 def untrained(out: Path, seeds: int = 20) -> PolicySpec:
     """Networks with random weights."""
     for seed in range(seeds):
         weights = recurrent.initial_weights(np.random.default_rng(seed))
-        write_atomically(out / "untrained" / f"seed-{seed}.npz", recurrent.sealed(weights, {"seed": seed}))
+        write_atomically(out / "untrained" / f"seed-{seed}.npz", recurrent.seal(weights, {"seed": seed}))
     return get_policy_spec(f"untrained={out}/untrained/seed-*.npz")
 
 

@@ -76,7 +76,7 @@ FIRST: Mapping[str, float] = {
     "learning_rate": 1e-3, "discount": 0.9, "hidden": 64, "trace": 0.9, "epochs": 5, "minibatches": 8, "spread": 0.4,
     "updates": 16, "batch": 256, "entropy": 1e-3, "reward": 1.0,
 }  # fmt: skip
-"""Trial 0: the settings of :mod:`ptne_env.learn.training.defaults`, as far as the libraries share them."""
+"""Trial 0: the settings of :mod:`ptne_env.training.defaults`, as far as the libraries share them."""
 
 CHOICES: Mapping[str, tuple[float, ...]] = {
     "learning_rate": (1e-4, 3e-4, 1e-3, 3e-3),

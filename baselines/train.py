@@ -9,8 +9,8 @@ import shutil
 from pathlib import Path
 
 from ptne_env import learn
-from ptne_env.learn.training import configurations, ppo
-from ptne_env.learn.training.configuration import Configuration
+from ptne_env.training import configurations, ppo
+from ptne_env.training.configuration import Configuration
 
 
 def main(out: Path) -> None:

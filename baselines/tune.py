@@ -1,8 +1,8 @@
 """Tune the constants of laws on validation episodes of ptne-v1: ``python baselines/tune.py [LAW]...``.
 
 ``tuned.csv`` beside this file is its output: the best constants found, and beside them those that the entries in
-``ptne_env/evaluation/entries.py`` had before. The score of constants is the mean digits over some tracks, so that no
-law is tuned for one world.
+``ptne_env/evaluation/named_policies.py`` had before. The score of constants is the mean digits over some tracks, so
+that no law is tuned for one world.
 """
 
 from __future__ import annotations

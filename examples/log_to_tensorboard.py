@@ -8,7 +8,7 @@ Run it with: python examples/log_to_tensorboard.py, and then: tensorboard --logd
 from stable_baselines3 import PPO
 
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.learn.training import defaults
+from ptne_env.training import defaults
 
 env = PlayerVecEnv("random-energy", num_envs=32, seed=0)
 model = PPO("MlpPolicy", env, tensorboard_log="runs", seed=0, **defaults.PPO)

@@ -11,7 +11,7 @@ from stable_baselines3 import PPO
 from wandb.integration.sb3 import WandbCallback
 
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.learn.training import defaults
+from ptne_env.training import defaults
 
 with wandb.init(project="ptne", mode="offline", sync_tensorboard=True) as run:
     env = PlayerVecEnv("random-energy", num_envs=32, seed=0)

@@ -17,7 +17,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 import ptne_env
 from ptne_env import laws
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.learn.training import defaults
+from ptne_env.training import defaults
 
 SCENARIO = "random-energy"
 TEST_SEED = 1_000_000

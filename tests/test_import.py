@@ -2,7 +2,9 @@
 
 import ast
 import importlib
+import re
 import sys
+import tomllib
 from pathlib import Path
 
 import gymnasium
@@ -92,3 +94,47 @@ def test_exactly_the_catalogue_is_registered_with_gymnasium():
 def test_gymnasium_makes_an_environment_by_its_module_and_name():
     statement = "import gymnasium\nenv = gymnasium.make('ptne_env:ptne/energy-joint-v0')\nenv.reset(seed=3)"
     assert "ptne_env.envs.gymnasium" in modules_after(statement)
+
+
+LAYERS = tomllib.loads((SOURCE.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+RANKS = {
+    module: rank
+    for rank, names in enumerate(reversed(LAYERS["contracts"][0]["layers"]))
+    for module in names.split(" | ")
+}
+MESSAGES = {
+    "ptne_env.world.catalogue": "ptne_env.suites.get_suite",
+    "ptne_env.evaluation.comparison": "ptne_env.execution.Runner",
+}
+"""Messages that tell users of a layer above; the contract names them."""
+
+
+def rank_of(module):
+    """The place of a module in the layers, of the lowest 0; -1 for the package itself."""
+    return RANKS.get(".".join(module.split(".")[:2]), -1)
+
+
+def strings_of(path):
+    """All strings of a module but its docstrings, which may tell of anything."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    told = {node.value for node in nodes if isinstance(node, ast.Expr)}
+    return [node.value for node in nodes if isinstance(node, ast.Constant) and node not in told]
+
+
+def test_no_string_names_a_module_of_a_layer_above():
+    folder, above = SOURCE.parent, {}
+    for path in folder.rglob("*.py"):
+        module = ".".join(path.relative_to(folder.parent).with_suffix("").parts)
+        assert "parents[" not in path.read_text(encoding="utf-8")  # which leads to a file of another folder
+        names = [
+            name for text in strings_of(path) if isinstance(text, str) for name in re.findall(r"ptne_env\.[\w.]+", text)
+        ]
+        if higher := {name for name in names if rank_of(name) > rank_of(module) >= 0}:
+            above[module] = higher
+    assert "ptne_env.learn" in above.pop("ptne_env.shared.parts")  # the one table that names all layers
+    assert above == {module: {name} for module, name in MESSAGES.items()}
+
+
+def test_every_folder_of_the_package_is_a_layer():
+    folders = {f"ptne_env.{path.parent.name}" for path in SOURCE.parent.glob("*/__init__.py")}
+    assert folders == set(RANKS)

@@ -175,7 +175,7 @@ def test_a_verification_runs_nothing_of_results_without_trust(change, results):
 
 
 def test_an_archive_in_results_is_foreign_and_results_of_the_library_need_no_trust(results):
-    archive = {"target": "ptne_env.learn.archive:load_archive", "arguments": {"path": "model.zip"}}
+    archive = {"target": "ptne_env.learn.sb3_archive:load_archive", "arguments": {"path": "model.zip"}}
     folder = results(lambda data: data["policies"][0]["training_seeds"].__setitem__(0, archive))
     assert foreign_targets(read_results(folder)) == [archive["target"]]
     assert foreign_targets(read_results(results())) == []

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
+from ptne_env import training
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
 from ptne_env.evaluation import METRICS
-from ptne_env.learn import training
 from ptne_env.suites import find_scenario
 from ptne_env.suites.suite import LAW
 
 if TYPE_CHECKING:
-    from ptne_env.learn.training.configuration import Configuration, Summary
-    from ptne_env.learn.training.through_world import Settings
+    from ptne_env.training.configuration import Configuration, Summary
+    from ptne_env.training.through_world import Settings
 
     Run: TypeAlias = Configuration | Settings
 
@@ -81,10 +81,10 @@ def train(
     """
     extra = "jax" if through_world else "sb3"
     try:
-        from ptne_env.learn.training.configuration import Configuration, finished
-        from ptne_env.learn.training.curve import draw, yardsticks
+        from ptne_env.training.configuration import Configuration, finished
+        from ptne_env.training.curve import draw, yardsticks
 
-        trainer = import_module(f"ptne_env.learn.training.{'through_world' if through_world else 'ppo'}")
+        trainer = import_module(f"ptne_env.training.{'through_world' if through_world else 'ppo'}")
     except ImportError as error:
         raise ImportError(f'training needs an extra: pip install "ptne-env[{extra}]"') from error
 

@@ -10,9 +10,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ptne_env.evaluation.audit import USES_OTHER_LINKS, AuditError, Witness, rows_of_one, sample_rows, with_links_of
-from ptne_env.evaluation.entries import PolicySpec, get_policy_spec
 from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.metrics import measure
+from ptne_env.evaluation.policy_spec import PolicySpec, get_policy_spec
 from ptne_env.evaluation.results import Place, Results, Samples
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.evaluation.tracks import Track, compared_tracks
@@ -140,7 +140,7 @@ def evaluate(
 
     Args:
         policies: one or several names, specs or objects with ``predict``, as
-            :func:`~ptne_env.evaluation.entries.get_policy_spec` takes them; or a dictionary of policies by name.
+            :func:`~ptne_env.evaluation.policy_spec.get_policy_spec` takes them; or a dictionary of policies by name.
         scenarios: one or several scenarios, names of the catalogue, ``"module:object"`` or tracks.
         episodes: the number of random starts; a track in which nothing is random has one episode.
         seed: the seed of the episode sets.

@@ -17,9 +17,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ptne_env._version import __version__
-from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.metrics import METRICS, number
+from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.provenance import arithmetic, content_hash, versions
 from ptne_env.evaluation.statistics import STATISTICS, Summary, estimate
 from ptne_env.evaluation.tracks import Track

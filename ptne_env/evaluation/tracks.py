@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
-from ptne_env.evaluation.entries import PolicySpec
+from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.rollout import Member
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.arrays import require_count, require_flag, require_printable

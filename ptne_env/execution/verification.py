@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from ptne_env.evaluation.comparison import Job, JobResult
-from ptne_env.evaluation.entries import POLICIES
 from ptne_env.evaluation.metrics import METRICS
+from ptne_env.evaluation.policy_spec import POLICIES
 from ptne_env.evaluation.provenance import arithmetic, file_hash, versions
 from ptne_env.evaluation.results import Results, read_results
 from ptne_env.evaluation.statistics import estimate
+from ptne_env.learn.policy_files import DATA
 from ptne_env.shared.arrays import FloatArray, require_count
-from ptne_env.shared.parts import LOADER, foreign_targets
+from ptne_env.shared.parts import foreign_targets
 from ptne_env.suites.suite import LAW, ORACLE, SUITES, ZERO, get_suite
 
 SAMPLE = 2
@@ -130,11 +131,11 @@ def _with_files(policy: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     Raises:
         ValueError: when a file is not the one that was run.
     """
-    here = {file_hash(file): str(file) for file in folder.rglob("*") if file.suffix in (".onnx", ".npz")}
+    here = {file_hash(file): str(file) for file in folder.rglob("*") if file.suffix in DATA.endings}
     seeds = []
     for seed in policy["training_seeds"]:
-        if seed.get("target") == LOADER and seed["sha256"] in here:
-            seed = {**seed, "arguments": {**seed["arguments"], "path_or_name": here[seed["sha256"]]}}  # noqa: PLW2901
+        if seed.get("target") == DATA.target and seed["sha256"] in here:
+            seed = {**seed, "arguments": {**seed["arguments"], DATA.argument: here[seed["sha256"]]}}  # noqa: PLW2901
         seeds.append(seed)
     return {**policy, "training_seeds": seeds}
 

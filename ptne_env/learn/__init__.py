@@ -1,8 +1,12 @@
-"""Learned policies: small networks in ONNX files, run by onnxruntime without torch."""
+"""Learned policies in files: ``policy_files`` finds and loads them, and each format has a module.
 
-from ptne_env.learn.learned import LearnedPolicy as LearnedPolicy
-from ptne_env.learn.learned import Metadata as Metadata
-from ptne_env.learn.learned import PolicyFileError as PolicyFileError
-from ptne_env.learn.learned import load as load
-from ptne_env.learn.learned import shipped as shipped
-from ptne_env.learn.learned import shipped_path as shipped_path
+- ``onnx_policy``: networks without memory, run by onnxruntime
+- ``recurrent``: networks with memory, run by numpy
+- ``sb3_archive``: models as Stable-Baselines3 saves them, which execute code when they are loaded
+"""
+
+from ptne_env.learn.onnx_policy import Metadata as Metadata
+from ptne_env.learn.policy_files import load as load
+from ptne_env.learn.policy_files import shipped as shipped
+from ptne_env.learn.policy_files import shipped_path as shipped_path
+from ptne_env.perception.policy import PolicyFileError as PolicyFileError

@@ -1,7 +1,7 @@
 """A recurrent policy: a small network that messages pass through, in numpy and in JAX, its player and its file.
 
 The network is written once, for numpy, which plays, and for JAX, which trains it
-(:mod:`ptne_env.learn.training.through_world`). Players, components and neighbours share all weights, and neighbours are
+(:mod:`ptne_env.training.through_world`). Players, components and neighbours share all weights, and neighbours are
 pooled, so one file plays any number of each. It has observations in units of σ_i, memory and generic layers; nothing in
 it estimates, identifies or imitates.
 
@@ -23,9 +23,8 @@ from zipfile import ZipFile
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.learn.learned import PolicyFileError
 from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
-from ptne_env.perception.policy import RowPolicy
+from ptne_env.perception.policy import PolicyFileError, RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, is_numpy, ordered_sum, without_gradient
 
 Weights = dict[str, Any]
@@ -391,7 +390,7 @@ class RecurrentPolicy(RowPolicy):
         return memory["inputs"].T.copy(), memory
 
 
-def sealed(weights: Weights, training: Mapping[str, Any]) -> bytes:
+def seal(weights: Weights, training: Mapping[str, Any]) -> bytes:
     """The content of a policy file: the weights, and a description with their SHA-256."""
     arrays = {name: np.asarray(weights[name], dtype=np.float32) for name in sorted(weights)}
     description = {"version": _VERSION, "sha256": _digest(arrays, training), "training": dict(training)}
@@ -401,7 +400,7 @@ def sealed(weights: Weights, training: Mapping[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
-def opened(path: Path, content: bytes) -> RecurrentPolicy:
+def open_policy(path: Path, content: bytes) -> RecurrentPolicy:
     """The policy in an ``.npz`` file. Its size is checked before anything is unpacked, and no file executes code.
 
     Raises:

@@ -14,12 +14,17 @@ import numpy.typing as npt
 
 from ptne_env.perception.observation import LayoutError, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array
+from ptne_env.shared.files import DamagedFileError
 
 _LONGEST_DESCRIPTION = 500
 
 
 class PolicyError(RuntimeError):
     """A policy failed: it raised an error, answered in another form, or broke a rule of the protocol."""
+
+
+class PolicyFileError(DamagedFileError):
+    """A file is no policy of this library, is damaged, or was made by another version."""
 
 
 def describe(error: BaseException) -> str:

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from ptne_env._version import __version__
-from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.statistics import Summary
 from ptne_env.evaluation.tracks import Track

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ptne_env.evaluation.entries import POLICIES
 from ptne_env.evaluation.metrics import METRICS, number
+from ptne_env.evaluation.policy_spec import POLICIES
 from ptne_env.evaluation.results import Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.rollout import Member, rollout
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ptne_env.envs.rendering import Renderer
-from ptne_env.evaluation.entries import PolicySpec
 from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.report.page import Page, Section

@@ -86,9 +86,6 @@ PARTS: Mapping[str, str] = {
 
 _IDS = {target: name for name, target in PARTS.items()}
 
-LOADER = "policy:file"
-"""The part that reads a policy file, which is data."""
-
 _MAIN = "__main__"
 """Name of the module of the program or notebook that runs."""
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ptne_env.evaluation.comparison import Run, as_list, compare, run_serially
-from ptne_env.evaluation.entries import POLICIES, PolicySpec, get_policy_spec
 from ptne_env.evaluation.episodes import EpisodeSet, Split
+from ptne_env.evaluation.policy_spec import POLICIES, PolicySpec, get_policy_spec
 from ptne_env.evaluation.results import Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.evaluation.entries import PolicySpec, get_policy_spec
+from ptne_env.evaluation.policy_spec import PolicySpec, get_policy_spec
 from ptne_env.laws import Law, Static
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.arrays import FloatArray

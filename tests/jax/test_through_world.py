@@ -11,10 +11,10 @@ import numpy as np
 
 import ptne_env.jax
 from ptne_env.learn import load, recurrent
-from ptne_env.learn.training import through_world
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.suites import get_suite
+from ptne_env.training import through_world
 from ptne_env.world import dynamics
 
 SHORT = through_world.Settings(
@@ -116,7 +116,7 @@ def test_a_run_learns_and_goes_on_after_an_interruption(tmp_path):
         through_world.train(dataclasses.replace(SHORT, seed=1), out)
     (out / "summary.json").unlink()  # as if it was interrupted after two updates
     half = policy.training | {"done": 2, "agent_steps": 100}
-    (out / "policy.npz").write_bytes(recurrent.sealed(policy.weights, half))
+    (out / "policy.npz").write_bytes(recurrent.seal(policy.weights, half))
     resumed = through_world.train(SHORT, out)
     assert resumed.resumed_at == 2
     assert np.isfinite(resumed.digits)  # though no episode has ended since then
@@ -146,6 +146,6 @@ def test_a_run_that_gets_worse_keeps_its_best_weights(tmp_path, monkeypatch):
     file = tmp_path / "falls" / "policy.npz"
     before = load(file)
     file.with_name("summary.json").unlink()  # as if it was interrupted after thirty updates
-    file.write_bytes(recurrent.sealed(before.weights, before.training | {"done": 30}))
+    file.write_bytes(recurrent.seal(before.weights, before.training | {"done": 30}))
     through_world.train(dataclasses.replace(SHORT, updates=40), file.parent)
     np.testing.assert_equal(load(file).weights, before.weights)

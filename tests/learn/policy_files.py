@@ -5,7 +5,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from ptne_env import Interface
 from ptne_env.learn import Metadata
-from ptne_env.learn.learned import sealed
+from ptne_env.learn.onnx_policy import seal
 
 OBSERVATION = 24
 """Length of an observation of ``random-energy`` in the interface ``scaled``."""
@@ -46,5 +46,5 @@ def first_entries(size=OBSERVATION, actions=5, **changes):
 
 def write(path, model=None, **changes):
     """A policy file with a network, :func:`first_entries` if left out, and changed metadata."""
-    path.write_bytes(sealed(model or first_entries(), metadata(**changes)))
+    path.write_bytes(seal(model or first_entries(), metadata(**changes)))
     return path

@@ -14,11 +14,11 @@ from ptne_env.perception.observation import LayoutError
 from ptne_env.suites import get_suite
 
 WEIGHTS = recurrent.initial_weights(np.random.default_rng(0), hidden=6, slot_hidden=4)
-CONTENT = recurrent.sealed(WEIGHTS, {"seed": 0})
+CONTENT = recurrent.seal(WEIGHTS, {"seed": 0})
 
 
 def opened(content=CONTENT):
-    return recurrent.opened(Path("mine.npz"), content)
+    return recurrent.open_policy(Path("mine.npz"), content)
 
 
 @pytest.mark.parametrize("scenario", ["random-energy-switching", "robots", "oligopoly"])

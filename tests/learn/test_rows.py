@@ -18,8 +18,8 @@ from stable_baselines3 import PPO, SAC
 from ptne_env import get_scenario, learn
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import POLICIES, get_policy_spec
-from ptne_env.learn.archive import load_archive
-from ptne_env.learn.learned import PolicyFileError
+from ptne_env.learn import PolicyFileError
+from ptne_env.learn.sb3_archive import load_archive
 from ptne_env.perception.encoder import make_encoder
 from ptne_env.perception.observation import LayoutError
 from ptne_env.shared.random_streams import RandomStreams

@@ -9,27 +9,39 @@ games and other noise from there on, so it ends with another policy.
 
 from __future__ import annotations
 
+import io
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+import onnx
+import stable_baselines3
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback, EvalCallback
+from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.utils import LinearSchedule
+from torch import nn
 
+from ptne_env._version import __version__
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import PolicySpec, evaluate
-from ptne_env.learn.learned import load
-from ptne_env.learn.training.configuration import CONFIGURATION, SUMMARY, Configuration, Summary, finished, write_record
-from ptne_env.learn.training.export import to_onnx
+from ptne_env.learn import load
+from ptne_env.learn.onnx_policy import Metadata, seal
+from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites import find_scenario
+from ptne_env.training.configuration import CONFIGURATION, SUMMARY, Configuration, Summary, finished, write_record
 from ptne_env.world.scenario import Scenario
+
+if TYPE_CHECKING:
+    from gymnasium import spaces
+    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 POLICY = "policy.onnx"
 """Name of the file of the policy."""
@@ -167,3 +179,49 @@ class _Report(BaseCallback):
     def _on_rollout_end(self) -> None:
         if self._progress is not None:
             self._progress(self.num_timesteps, self._steps, self._evaluation.last_mean_reward)
+
+
+def to_onnx(model: OnPolicyAlgorithm, layout: ObservationLayout, **training: Any) -> bytes:
+    """The deterministic actor as an ONNX file: observations (R, size) float32 to clipped mean actions, float32.
+
+    Args:
+        model: PPO or A2C with an ``MlpPolicy`` on a flat observation.
+        layout: of the environments it was trained in.
+        **training: how it was trained, for the metadata.
+    """
+    content = io.BytesIO()
+    with warnings.catch_warnings():
+        # The other exporter of torch needs a further package and takes half a minute.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(
+            _Actor(model.policy).eval(),
+            (torch.zeros(2, layout.size),),
+            content,  # type: ignore[arg-type]  # this exporter takes open files
+            input_names=["observation"],
+            output_names=["action"],
+            dynamic_axes={"observation": {0: "rows"}, "action": {0: "rows"}},
+            dynamo=False,
+        )
+    training |= {"ptne_env": __version__}
+    training |= {library.__name__: library.__version__ for library in (stable_baselines3, torch, np)}
+    metadata = Metadata(
+        interface=layout.interface, action_dims=layout.action_dims, slots=layout.slots, training=training
+    )
+    return seal(onnx.load_from_string(content.getvalue()), metadata)
+
+
+class _Actor(nn.Module):
+    """What ``predict`` of a model does: its mean action, clipped to the action box."""
+
+    def __init__(self, policy: ActorCriticPolicy) -> None:
+        super().__init__()
+        self.policy = policy
+        box = cast("spaces.Box", policy.action_space)
+        self.low, self.high = torch.as_tensor(box.low), torch.as_tensor(box.high)
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        features = self.policy.extract_features(observations, self.policy.pi_features_extractor)
+        actions: torch.Tensor = self.policy.action_net(
+            self.policy.mlp_extractor.forward_actor(cast("torch.Tensor", features))
+        )
+        return torch.maximum(torch.minimum(actions, self.high), self.low)

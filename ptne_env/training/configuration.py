@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ptne_env.learn.training import CONFIGURATIONS, configurations
 from ptne_env.shared.arrays import require_count, require_positive, require_printable, require_probability
 from ptne_env.shared.files import DamagedFileError, read_json, require_file, write_atomically
 from ptne_env.shared.names import unknown_name
 from ptne_env.suites.suite import world_names
+from ptne_env.training import CONFIGURATIONS, configurations
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Entries of comparisons: a name, a policy per training seed, and the interface that it acts through."""
+"""A policy of a comparison: its name, a policy per training seed, and the interface that it acts through."""
 
 from __future__ import annotations
 
@@ -9,28 +9,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from ptne_env.evaluation.named_policies import NO_LAWS, TABLE
 from ptne_env.evaluation.provenance import file_hash
+from ptne_env.learn.policy_files import FORMATS, find_file, format_of
 from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError, describe
 from ptne_env.shared.arrays import require_flag, require_printable
 from ptne_env.shared.files import require_file
 from ptne_env.shared.names import unknown_name
-from ptne_env.shared.parts import LOADER, FactorySpec, foreign_targets, resolve
+from ptne_env.shared.parts import FactorySpec, foreign_targets, resolve
 
 PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
 """A factory spec or a callable that builds the policy from a layout, or the policy itself."""
-
-ARCHIVE = "ptne_env.learn.archive:load_archive"
-"""Target of the policies in Stable-Baselines3 archives. It is no part: loading one executes code in the file."""
-
-NO_LAWS = ("zero-input", "random")
-"""Policies that seek nothing."""
-
-_ENDINGS = (".onnx", ".npz")
-"""Endings of files that are data."""
-
-_LIBRARIES = {LOADER: ("onnxruntime",), ARCHIVE: ("stable_baselines3", "torch")}
-"""The libraries that the policies in files compute with."""
 
 
 @dataclass(frozen=True)
@@ -66,18 +56,18 @@ class PolicySpec:
                     f"policy {self.name!r} is {source!r}: give a FactorySpec, a class or function that is called with "
                     "the layout, or an object with predict; get_policy_spec('static') is the policy of a name"
                 )
-        given: Any = self.interface
-        if not isinstance(given, Interface | None):
-            object.__setattr__(self, "interface", Interface(given))  # which checks it
-        declared = {_declared_interface(source) for source in self.training_seeds}
-        if len(declared) > 1:
+        interfaces = {_declared_interface(source) for source in self.training_seeds}
+        if len(interfaces) > 1:
             raise ValueError(
                 f"the training seeds of policy {self.name!r} have different interfaces: they are no one policy"
             )
-        (own,), given = declared, self.interface
-        if own is not None and given not in (None, own):
-            raise ValueError(f"policy {self.name!r} declares the interface {own}: it cannot act through {given}")
-        object.__setattr__(self, "interface", next(each for each in (own, given, Interface()) if each is not None))
+        (declared,) = interfaces
+        asked: Any = self.interface
+        if not isinstance(asked, Interface | None):
+            asked = Interface(asked)  # which checks it
+        if None not in (declared, asked) and declared != asked:
+            raise ValueError(f"policy {self.name!r} declares the interface {declared}: it cannot act through {asked}")
+        object.__setattr__(self, "interface", declared or asked or Interface())
 
     @property
     def training_seeds(self) -> tuple[PolicySource, ...]:
@@ -92,7 +82,7 @@ class PolicySpec:
     @property
     def is_law(self) -> bool:
         """Whether it is a law of :data:`POLICIES`: no network, no oracle, and none that seeks nothing."""
-        return self.name in POLICIES and not (self.files or self.is_oracle or self.name in NO_LAWS)
+        return self.name in TABLE and not (self.files or self.is_oracle or self.name in NO_LAWS)
 
     @property
     def is_repeatable(self) -> bool:
@@ -113,7 +103,8 @@ class PolicySpec:
     @property
     def libraries(self) -> tuple[str, ...]:
         """The libraries that it computes with, beside those that every result depends on."""
-        return _LIBRARIES.get(getattr(self.training_seeds[0], "target", ""), ())
+        file_format = format_of(self.training_seeds[0])
+        return file_format.libraries if file_format else ()
 
     def build(self, layout: ObservationLayout, training_seed: int = 0) -> Policy:
         """The policy of a training seed for a layout.
@@ -189,145 +180,51 @@ def _require_observations_of(layout: ObservationLayout, model: Any) -> None:
 
 
 def _declared_interface(source: PolicySource) -> Interface | None:
-    """The interface that a policy declares, as a class, as an object or in its file."""
-    found: Any = source
+    """Return the interface that a policy declares, as a class, as an object or in its file."""
+    policy: Any = source
     if isinstance(source, FactorySpec):
-        found = source.build() if source.target in _LIBRARIES else resolve(source.target)
-    declared: Any = getattr(found, "interface", None)
-    is_kind = isinstance(declared, str)
-    return Interface(declared) if is_kind else declared
+        policy = source.build() if format_of(source) else resolve(source.target)
+    declared: Any = getattr(policy, "interface", None)
+    kind: Any = declared
+    return Interface(kind) if isinstance(declared, str) else declared
 
 
 def _file_of(source: PolicySource) -> str | None:
-    """The path, or the name of a shipped file, that a policy is loaded from."""
-    if not isinstance(source, FactorySpec) or source.target not in _LIBRARIES:
+    """Return the path, or the name of a shipped file, that a policy is loaded from."""
+    file_format = format_of(source)
+    if file_format is None or not isinstance(source, FactorySpec):
         return None
-    return str(dict(source.arguments)["path" if source.target == ARCHIVE else "path_or_name"])
+    return str(dict(source.arguments)[file_format.argument])
 
 
 def _source_to_dict(source: PolicySource) -> dict[str, Any]:
     if isinstance(source, FactorySpec):
         path = _file_of(source)
-        return {**source.to_dict(), "sha256": path and file_hash(_shipped_file(path))}
+        return {**source.to_dict(), "sha256": path and file_hash(find_file(path))}
     named = source if isinstance(source, type) else type(source)
     return {"object": f"{named.__module__}:{named.__qualname__}"}
 
 
-def _shipped_file(path_or_name: str) -> Path:
-    """The path of a policy's file: of a shipped one by its name."""
-    shipped = (Path(__file__).parents[1] / "learn" / f"{path_or_name}{ending}" for ending in _ENDINGS)
-    return next((path for path in shipped if path.is_file()), Path(path_or_name))
-
-
-def _entry(target: str, description: str, **arguments: Any) -> tuple[str, str, dict[str, Any]]:
-    return target, description, arguments
-
-
-def _network(scenario: str) -> tuple[str, str, dict[str, Any]]:
-    return _entry(LOADER, f"A network that PPO trained on {scenario}.", path_or_name=f"ppo-{scenario}")
-
-
-def _recurrent(name: str, where: str) -> tuple[str, str, dict[str, Any]]:
-    sentence = f"A network with memory that was trained through the world, {where}."
-    return _entry(LOADER, sentence, path_or_name=f"recurrent-{name}")
-
-
-_COMPARED = {
-    "static": _entry("law:static", "The paper's static law: down the own cost, and towards the neighbours.", kappa=2.0),
-    "adaptive": _entry(
-        "law:adaptive",
-        "The paper's adaptive law: the gain of a link grows as long as its two players disagree.",
-        gamma=0.01,
-        initial_gain=0.5,
-    ),
-    "corollary-one": _entry("law:corollary-one", "The static law without the time gain, with a large κ.", kappa=10.0),
-    "gadjov-pavel": _entry("law:corollary-one", "Gadjov and Pavel's law: Corollary 1 with κ = 1.", kappa=1.0),
-    "grounded": _entry(
-        "law:grounded",
-        "Ye and Hu's law: estimates follow the neighbours, and the own strategy follows the own cost alone.",
-        kappa=2.0,
-    ),
-    "zero-input": _entry("law:zero-input", "Does nothing: strategies stay at the start."),
-    "random": _entry("law:random", "Random inputs.", seed=0),
-    "oracle": _entry("law:oracle", "Moves all estimates to the equilibrium, which players do not know, at once."),
-    "routed-unknown": _entry(
-        "law:routed-unknown",
-        "Copies news of each player from the neighbours that have them first, and takes gradient steps.",
-        step=0.3,
-    ),
-    "observer-relay": _entry(
-        "law:observer-relay",
-        "The contact relay that filters noise and rounding, weighs neighbours by their errors, and expects reactions.",
-    ),
-    "ppo-random-energy": _network("random-energy"),
-}
-_OTHERS = {
-    "ppo-ptne-v1": _network("ptne-v1"),
-    "recurrent-random-worlds": _recurrent("random-worlds", "in 38 worlds outside of the suites"),
-    "static-tuned": _entry("law:static", "The static law with tuned weights.", kappa=2.2, gradient_gain=2.94),
-    "adaptive-grounded": _entry(
-        "law:adaptive-grounded",
-        "Ye and Hu's adaptive law: the grounded law, with gains that every player tunes by itself.",
-        gamma=0.0001,
-        initial_gain=3.0,
-    ),
-    "projected-gradient": _entry(
-        "law:projected-gradient",
-        "Bianchi and Grammatico's discrete law: average with the neighbours, then take a gradient step.",
-        step=0.47,
-        mixing=0.357,
-    ),
-    "contact-relay": _entry(
-        "law:contact-relay",
-        "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
-        patience=12.6,
-        forgetting=5.89,
-    ),
-    "residual-coder": _entry(
-        "law:residual-coder",
-        "The observer relay among players who tell each other small digits in code, where all of them understand it.",
-    ),
-    "proximal-best-response": _entry(
-        "law:proximal-best-response",
-        "Bianchi, Belgioioso and Grammatico's law: proximal best responses, and averages with neighbours.",
-        step=4.0,
-        mixing=0.45,
-    ),
-}
-_SPECIALISTS = {
-    f"recurrent-{name}": _recurrent(name, "in games of this scenario")
-    for name in ("random-energy-switching", "random-energy-switching-transformed")
-}
-_TABLE = _COMPARED | _OTHERS | _SPECIALISTS
-"""By name: the part, a sentence, and the arguments."""
-
-COMPARED = tuple(_COMPARED)
-"""The default policies on scenarios: laws of the paper, references, the strongest laws, learned policies."""
-
-ENTERED = (*_COMPARED, *_OTHERS)
-"""The default policies on a suite: all but networks that were trained in one scenario, which are slow elsewhere."""
-
-
 class _Policies(Mapping[str, PolicySpec]):
-    """The named policies. Each is made when it is asked for: nothing of the field or of learning is imported before."""
+    """The named policies. Each is made when it is asked for, so that no law is imported before."""
 
     def __getitem__(self, name: str) -> PolicySpec:
         return _named_policy(name)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(_TABLE)
+        return iter(TABLE)
 
     def __len__(self) -> int:
-        return len(_TABLE)
+        return len(TABLE)
 
     def __contains__(self, name: object) -> bool:
-        return name in _TABLE
+        return name in TABLE
 
 
 @cache
 def _named_policy(name: str) -> PolicySpec:
-    target, description, arguments = _TABLE[name]
-    return PolicySpec(name, FactorySpec.of(target, **arguments), description=description)
+    description, spec = TABLE[name]
+    return PolicySpec(name, spec, description=description)
 
 
 POLICIES: Mapping[str, PolicySpec] = _Policies()
@@ -366,27 +263,26 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
         return POLICIES[policy]
     name, separator, pattern = policy.partition("=")
     if separator and name and Path(name).name == name and not Path(policy).is_file():
-        found = sorted(glob.glob(pattern))  # noqa: PTH207 - it may be absolute
-        if not found:
+        paths = sorted(glob.glob(pattern))  # noqa: PTH207 - it may be absolute
+        if not paths:
             raise FileNotFoundError(f"there is no file {pattern!r}, which '{policy}' asks for")
-        return PolicySpec(name, tuple(_file(path, trust=trust) for path in found))
-    if Path(policy).suffix in (*_ENDINGS, ".zip"):
-        return PolicySpec(Path(policy).stem, _file(policy, trust=trust))
+        return PolicySpec(name, tuple(_spec_of_file(path, trust=trust) for path in paths))
+    if any(policy.endswith(each.endings) for each in FORMATS):
+        return PolicySpec(Path(policy).stem, _spec_of_file(policy, trust=trust))
     if ":" in policy:
         return PolicySpec(policy, FactorySpec.of(policy))
     raise ValueError(unknown_name("policy", policy, POLICIES, "an .onnx or .npz file or a 'module:object'"))
 
 
-def _file(path: str, *, trust: bool) -> FactorySpec:
-    """The spec of the policy in a file."""
+def _spec_of_file(path: str, *, trust: bool) -> FactorySpec:
+    """Return the factory spec of the policy in a file."""
     require_file(path)
-    if path.endswith(_ENDINGS):
-        return FactorySpec.of(LOADER, path_or_name=path)
-    if not path.endswith(".zip"):
+    formats = [each for each in FORMATS if path.endswith(each.endings)]
+    if not formats:
         raise ValueError(f"{path!r} is no policy: policy files end in .onnx, .npz or .zip")
-    if not require_flag("trust", trust):
+    if formats[0].executes_code and not require_flag("trust", trust):
         raise ValueError(
             f"loading {path!r} executes code that is stored in it; if you trust it: "
             f"ptne_env.evaluation.get_policy_spec({path!r}, trust=True)"
         )
-    return FactorySpec.of(ARCHIVE, path=path)
+    return formats[0].spec(path)

@@ -1,11 +1,10 @@
-"""Learned policies in ONNX files, read as data, without torch: no file executes code, and no network is large."""
+"""Networks in ONNX files, run by onnxruntime without torch: no file executes code, and no network is large."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -13,25 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ptne_env.perception.observation import Interface, ObservationLayout
-from ptne_env.perception.policy import BLOCK, RowPolicy
+from ptne_env.perception.observation import Interface
+from ptne_env.perception.policy import BLOCK, PolicyFileError, RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array, require_count
-from ptne_env.shared.files import DamagedFileError, require_file
-from ptne_env.shared.names import unknown_name
 
 if TYPE_CHECKING:
     import onnx
+    import onnxruntime
 
-    from ptne_env.learn.recurrent import RecurrentPolicy
-
-_FOLDER = Path(__file__).parent
 _METADATA, _DIGEST, _UNKNOWN = "ptne_env", "sha256", "0" * 64
-
-SUFFIXES = (".onnx", ".npz")
-"""Endings of policy files: networks without memory, and recurrent ones."""
-
-LARGEST_FILE = 16 << 20
-"""Bytes of the largest file that is read; the shipped ones have 30 kB."""
 
 LARGEST_ARRAY, MOST_OPERATIONS = 1 << 20, 1000
 """Numbers in the largest array that a network may compute for a row, and its operations."""
@@ -47,13 +36,9 @@ LAYOUT_VERSION = 1
 """Version of the meaning of observations and actions; files of another version are refused."""
 
 
-class PolicyFileError(DamagedFileError):
-    """A file is not a policy of this library, is damaged, or was made for other observations."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Metadata:
-    """The description of a policy.
+    """The description of a policy in an ONNX file.
 
     Attributes:
         interface: of the policy.
@@ -79,12 +64,12 @@ class Metadata:
             require_count("action_dims", dim, 1)
 
     def to_json(self) -> str:
-        """The description as a JSON text."""
+        """Return the description as a JSON text."""
         return json.dumps(asdict(self) | {"interface": self.interface.kind}, allow_nan=False, sort_keys=True)
 
     @classmethod
     def from_json(cls, text: str) -> Metadata:
-        """The inverse of :meth:`to_json`.
+        """Read what :meth:`to_json` wrote.
 
         Raises:
             PolicyFileError: when the text is damaged or of another layout version.
@@ -103,62 +88,37 @@ class Metadata:
         return metadata
 
 
-class LearnedPolicy(RowPolicy):
-    """A policy from a file; see :class:`ptne_env.perception.policy.Policy`.
-
-    :func:`load` and :func:`ptne_env.learn.archive.load_archive` make one.
+class OnnxPolicy(RowPolicy):
+    """A network without memory that onnxruntime runs; its actions are the mean actions.
 
     Attributes:
         name: of the file, without its ending.
         interface: of the policy.
-        metadata: description in the file; ``None`` of an archive, which has none.
+        metadata: the description in the file.
     """
 
     block = BLOCK
 
-    def __init__(
-        self,
-        name: str,
-        made_for: Mapping[str, Any],
-        decide: Callable[..., tuple[Float32Array, Any]],
-        metadata: Metadata | None = None,
-    ) -> None:
-        self.name = name
-        self.interface: Interface = made_for["interface"]
-        self.metadata = metadata
-        self._made_for = made_for  # attributes of a layout, among them its size
-        self._decide = decide  # as predict, for whole blocks
+    def __init__(self, name: str, session: onnxruntime.InferenceSession, metadata: Metadata) -> None:
+        self.name, self.metadata, self.interface = name, metadata, metadata.interface
+        self._session = session
+        (self._input,) = session.get_inputs()
 
     @property
     def made_for(self) -> Mapping[str, Any]:
-        """The size of the observations, the interface, and what else the file says of its layout."""
-        return self._made_for
+        """The interface, players and neighbour slots in the metadata, and the length of the observations."""
+        names = ("interface", "action_dims", "slots")
+        return {name: getattr(self.metadata, name) for name in names} | {"size": self._input.shape[1]}
 
-    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:
-        """Return the actions and the memory; see :meth:`ptne_env.perception.policy.RowPolicy.decide`."""
-        return self._decide(rows, memory, starts, deterministic)
-
-
-def shipped() -> list[str]:
-    """The names of the policies in the library."""
-    return sorted(path.stem for ending in SUFFIXES for path in _FOLDER.glob(f"*{ending}"))
+    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - it has no memory
+        """Return the actions, and the memory as it is; see :meth:`ptne_env.perception.policy.RowPolicy.decide`."""
+        return self._session.run(None, {self._input.name: rows})[0], memory
 
 
-def shipped_path(name: str) -> Path:
-    """The file of a policy in the library.
+def seal(model: onnx.ModelProto, metadata: Metadata) -> bytes:
+    """Return the content of a policy file: a network from observations (R, size) to actions, and its description.
 
-    Raises:
-        ValueError: for another name.
-    """
-    if name not in shipped():
-        raise ValueError(unknown_name("learned policy", name, shipped(), "an .onnx or .npz file"))
-    return next(path for ending in SUFFIXES if (path := _FOLDER / f"{name}{ending}").exists())
-
-
-def sealed(model: onnx.ModelProto, metadata: Metadata) -> bytes:
-    """The content of a policy file: a network from observations (R, size) to actions, float32, and its description.
-
-    Its SHA-256 is in it, so that :func:`load` detects damage.
+    The content holds its own SHA-256, so that :func:`open_policy` detects damage.
     """
     from onnx import helper
 
@@ -167,40 +127,18 @@ def sealed(model: onnx.ModelProto, metadata: Metadata) -> bytes:
     return content.replace(_UNKNOWN.encode(), sha256(content).hexdigest().encode())
 
 
-def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> LearnedPolicy | RecurrentPolicy:
-    """A learned policy from an ``.onnx`` or ``.npz`` file, or a shipped policy by name.
-
-    Args:
-        path_or_name: the file or name.
-        layout: of the environment in which the policy must be able to act; not checked if left out. The policy of an
-            ``.npz`` file needs it before it acts.
+def open_policy(path: Path, content: bytes) -> OnnxPolicy:
+    """Check the content of an ``.onnx`` file, and return its policy, which has decided one block of rows.
 
     Raises:
-        ValueError: for an unknown name.
-        FileNotFoundError: when there is no such file.
-        PolicyFileError: when the file is damaged, foreign, too large or of another version, refers to other files,
-            or has other operations than :data:`OPERATORS`.
-        LayoutError: when the policy was made for another layout.
-        ImportError: without onnx and onnxruntime, which ``.onnx`` files need, naming the extra to install.
+        PolicyFileError: when the content is damaged, foreign or of another version, or its network is refused.
+        ImportError: without onnx and onnxruntime, naming the extra to install.
     """
-    is_file = Path(path_or_name).suffix in SUFFIXES
-    path = Path(path_or_name) if is_file else shipped_path(str(path_or_name))
-    if path.suffix == ".onnx" and not all(map(importlib.util.find_spec, ("onnx", "onnxruntime"))):
-        raise ImportError('learned policies need onnx and onnxruntime: pip install "ptne-env[bench]"')
-    require_file(path)
-    if path.stat().st_size > LARGEST_FILE:
-        raise PolicyFileError(f"{path} has more than {LARGEST_FILE >> 20} MiB")
-    from ptne_env.learn import recurrent  # which needs the errors of this module
-
-    opened = _opened if path.suffix == ".onnx" else recurrent.opened
-    policy: LearnedPolicy | RecurrentPolicy = opened(path, path.read_bytes())
-    return policy if layout is None else policy.with_layout(layout)
-
-
-def _opened(path: Path, content: bytes) -> LearnedPolicy:
-    """The policy in a file, checked and tried with one row."""
-    import onnx
-    import onnxruntime
+    try:
+        import onnx
+        import onnxruntime
+    except ImportError as error:
+        raise ImportError('learned policies need onnx and onnxruntime: pip install "ptne-env[bench]"') from error
 
     try:
         model = onnx.load_model_from_string(content)
@@ -213,29 +151,25 @@ def _opened(path: Path, content: bytes) -> LearnedPolicy:
     if sha256(content.replace(digest.encode(), _UNKNOWN.encode())).hexdigest() != digest:
         raise PolicyFileError(f"{path} is damaged: it does not have the SHA-256 that it names")
     metadata = Metadata.from_json(properties[_METADATA])
-    if reason := _refusal(model):
+    if reason := _why_refused(model):
         raise PolicyFileError(f"{path} {reason}")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1  # the networks are small, and one thread gives the same bits in every run
     options.log_severity_level = 4
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)
-        (taken,) = session.get_inputs()
-        (actions,) = session.run(None, {taken.name: np.zeros((BLOCK, taken.shape[1]), dtype=np.float32)})
+        policy = OnnxPolicy(path.stem, session, metadata)
+        rows = np.zeros((BLOCK, policy.made_for["size"]), dtype=np.float32)
+        actions, _ = policy.decide(rows, None, np.zeros(BLOCK, dtype=np.bool_), deterministic=True)
     except Exception as error:  # onnxruntime raises its own classes, which are not public
         raise PolicyFileError(f"{path} cannot decide a batch of any number of rows of observations: {error}") from error
     if actions.dtype != np.float32 or actions.shape != (BLOCK, sum(metadata.action_dims)):
         raise PolicyFileError(f"{path} does not answer with actions of {sum(metadata.action_dims)} float32 numbers")
-
-    def decide(rows: Float32Array, state: Any, *_: Any) -> tuple[Float32Array, Any]:
-        return session.run(None, {taken.name: rows})[0], state
-
-    made_for = {name: getattr(metadata, name) for name in ("interface", "action_dims", "slots")}
-    return LearnedPolicy(path.stem, made_for | {"size": taken.shape[1]}, decide, metadata)
+    return policy
 
 
-def _refusal(model: onnx.ModelProto) -> str | None:
-    """Why a network is not run; ``None`` for one that takes little memory, and reads no other file."""
+def _why_refused(model: onnx.ModelProto) -> str | None:
+    """Return why a network is not run; ``None`` for one that takes little memory and reads no other file."""
     import onnx
 
     graph = model.graph

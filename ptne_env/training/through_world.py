@@ -27,7 +27,7 @@ from optax.contrib import MuonDimensionNumbers, muon
 
 import ptne_env.jax
 from ptne_env.evaluation.tracks import Track
-from ptne_env.learn.learned import load
+from ptne_env.learn import load
 from ptne_env.learn.recurrent import (
     GIVEN,
     MOST_REPEATS,
@@ -36,14 +36,14 @@ from ptne_env.learn.recurrent import (
     decide,
     initial_memory,
     initial_weights,
-    opened,
+    open_policy,
     read,
-    sealed,
+    seal,
 )
-from ptne_env.learn.training.configuration import CONFIGURATION, SUMMARY, Summary, finished, write_record
 from ptne_env.shared.arrays import require_count, require_positive, require_probability, without_gradient
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites.suite import find_scenario
+from ptne_env.training.configuration import CONFIGURATION, SUMMARY, Summary, finished, write_record
 from ptne_env.world import distances
 
 POLICY = "policy.npz"
@@ -236,7 +236,7 @@ def train(
     weights = _start(settings)
     resumed_at, steps, reached = 0, 0, -math.inf
     if (out / POLICY).exists():
-        before = opened(out / POLICY, (out / POLICY).read_bytes())
+        before = open_policy(out / POLICY, (out / POLICY).read_bytes())
         weights, so_far = before.weights, before.training
         resumed_at, steps, reached = so_far["done"], so_far["agent_steps"], so_far["digits"]
     best = mean = weights = jax.tree.map(jnp.asarray, weights)
@@ -267,7 +267,7 @@ def train(
                     "digits": reached,
                     "worlds": [each.name for each in tracks],
                 }
-                write_atomically(out / POLICY, sealed(best if judged else mean, asdict(settings) | training))
+                write_atomically(out / POLICY, seal(best if judged else mean, asdict(settings) | training))
                 saved = monotonic()
     if not len(curve):  # no episode has ended
         curve = np.array([[steps, lessons[0].digits()]])

@@ -17,11 +17,11 @@ from stable_baselines3 import A2C, PPO
 import ptne_env
 from ptne_env import PolicySpec, learn
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.learn.training import configurations, ppo
-from ptne_env.learn.training.configuration import Configuration
-from ptne_env.learn.training.curve import draw, learning_curve, yardsticks
-from ptne_env.learn.training.export import to_onnx
 from ptne_env.report.tables import leaders
+from ptne_env.training import configurations, ppo
+from ptne_env.training.configuration import Configuration
+from ptne_env.training.curve import draw, learning_curve, yardsticks
+from ptne_env.training.ppo import to_onnx
 
 SCENARIO = ptne_env.get_scenario("random-energy", steps=40)
 SHORT = Configuration("test_training:SCENARIO", steps=700, envs=2, rollout=10, minibatches=2, hidden=(8,))

@@ -1,0 +1,93 @@
+"""The named policies: the laws, the references and the networks that ship, each with a sentence for lists.
+
+A new law is its file in :mod:`ptne_env.laws`, its id in :data:`ptne_env.shared.parts.PARTS` and an entry here.
+"""
+
+from __future__ import annotations
+
+from ptne_env.learn.policy_files import DATA
+from ptne_env.shared.parts import FactorySpec
+
+part = FactorySpec.of
+
+
+def _network(scenario: str) -> tuple[str, FactorySpec]:
+    return f"A network that PPO trained on {scenario}.", DATA.spec(f"ppo-{scenario}")
+
+
+def _recurrent(name: str, where: str) -> tuple[str, FactorySpec]:
+    sentence = f"A network with memory that was trained through the world, {where}."
+    return sentence, DATA.spec(f"recurrent-{name}")
+
+
+_COMPARED = {
+    "static": (
+        "The paper's static law: down the own cost, and towards the neighbours.",
+        part("law:static", kappa=2.0),
+    ),
+    "adaptive": (
+        "The paper's adaptive law: the gain of a link grows as long as its two players disagree.",
+        part("law:adaptive", gamma=0.01, initial_gain=0.5),
+    ),
+    "corollary-one": (
+        "The static law without the time gain, with a large κ.",
+        part("law:corollary-one", kappa=10.0),
+    ),
+    "gadjov-pavel": ("Gadjov and Pavel's law: Corollary 1 with κ = 1.", part("law:corollary-one", kappa=1.0)),
+    "grounded": (
+        "Ye and Hu's law: estimates follow the neighbours, and the own strategy follows the own cost alone.",
+        part("law:grounded", kappa=2.0),
+    ),
+    "zero-input": ("Does nothing: strategies stay at the start.", part("law:zero-input")),
+    "random": ("Random inputs.", part("law:random", seed=0)),
+    "oracle": ("Moves all estimates to the equilibrium, which players do not know, at once.", part("law:oracle")),
+    "routed-unknown": (
+        "Copies news of each player from the neighbours that have them first, and takes gradient steps.",
+        part("law:routed-unknown", step=0.3),
+    ),
+    "observer-relay": (
+        "The contact relay that filters noise and rounding, weighs neighbours by their errors, and expects reactions.",
+        part("law:observer-relay"),
+    ),
+    "ppo-random-energy": _network("random-energy"),
+}
+_OTHERS = {
+    "ppo-ptne-v1": _network("ptne-v1"),
+    "recurrent-random-worlds": _recurrent("random-worlds", "in 38 worlds outside of the suites"),
+    "static-tuned": ("The static law with tuned weights.", part("law:static", kappa=2.2, gradient_gain=2.94)),
+    "adaptive-grounded": (
+        "Ye and Hu's adaptive law: the grounded law, with gains that every player tunes by itself.",
+        part("law:adaptive-grounded", gamma=0.0001, initial_gain=3.0),
+    ),
+    "projected-gradient": (
+        "Bianchi and Grammatico's discrete law: average with the neighbours, then take a gradient step.",
+        part("law:projected-gradient", step=0.47, mixing=0.357),
+    ),
+    "contact-relay": (
+        "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
+        part("law:contact-relay", patience=12.6, forgetting=5.89),
+    ),
+    "residual-coder": (
+        "The observer relay among players who tell each other small digits in code, where all of them understand it.",
+        part("law:residual-coder"),
+    ),
+    "proximal-best-response": (
+        "Bianchi, Belgioioso and Grammatico's law: proximal best responses, and averages with neighbours.",
+        part("law:proximal-best-response", step=4.0, mixing=0.45),
+    ),
+}
+_SPECIALISTS = {
+    f"recurrent-{name}": _recurrent(name, "in games of this scenario")
+    for name in ("random-energy-switching", "random-energy-switching-transformed")
+}
+TABLE = _COMPARED | _OTHERS | _SPECIALISTS
+"""A sentence and the factory spec by name, in the order in which lists show them."""
+
+NO_LAWS = ("zero-input", "random")
+"""The policies that seek nothing."""
+
+COMPARED = tuple(_COMPARED)
+"""The default policies on scenarios: laws of the paper, references, the strongest laws, learned policies."""
+
+ENTERED = (*_COMPARED, *_OTHERS)
+"""The default policies on a suite: all but networks that were trained in one scenario, which are slow elsewhere."""

@@ -1,0 +1,103 @@
+"""Files of policies: their formats, those that ship, and the loader of the formats that are data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ptne_env.learn import onnx_policy, recurrent
+from ptne_env.perception.observation import ObservationLayout
+from ptne_env.perception.policy import PolicyFileError
+from ptne_env.shared.files import require_file
+from ptne_env.shared.names import unknown_name
+from ptne_env.shared.parts import FactorySpec
+
+LARGEST_FILE = 16 << 20
+"""Bytes of the largest file that :func:`load` reads; the shipped ones have 30 to 290 kB."""
+
+
+class PolicyFormat(NamedTuple):
+    """A format of policy files.
+
+    Attributes:
+        endings: of the files.
+        target: the function that loads one, as :class:`FactorySpec` names it.
+        argument: the argument of that function that is the file.
+        libraries: what the policies compute with, beside the libraries that every result depends on.
+        executes_code: whether loading a file executes code that is stored in it.
+    """
+
+    endings: tuple[str, ...]
+    target: str
+    argument: str
+    libraries: tuple[str, ...]
+    executes_code: bool
+
+    def spec(self, path_or_name: str) -> FactorySpec:
+        """Return the factory spec of the policy in a file of this format."""
+        return FactorySpec.of(self.target, **{self.argument: path_or_name})
+
+
+DATA = PolicyFormat((".onnx", ".npz"), "policy:file", "path_or_name", ("onnxruntime",), executes_code=False)
+ARCHIVE = PolicyFormat(
+    (".zip",), "ptne_env.learn.sb3_archive:load_archive", "path", ("stable_baselines3", "torch"), executes_code=True
+)
+FORMATS = (DATA, ARCHIVE)
+"""The formats of policy files. An archive is no part of the library, because it may execute any code."""
+
+
+def format_of(source: Any) -> PolicyFormat | None:
+    """Return the format of the file that a factory spec loads; ``None`` if it loads none, or is no factory spec."""
+    targets = {each.target: each for each in FORMATS}
+    return targets.get(source.target) if isinstance(source, FactorySpec) else None
+
+
+def shipped() -> list[str]:
+    """Return the names of the policies in the library."""
+    return sorted(path.stem for path in Path(__file__).parent.iterdir() if path.suffix in DATA.endings)
+
+
+def shipped_path(name: str) -> Path:
+    """Return the file of a policy in the library.
+
+    Raises:
+        ValueError: for another name.
+    """
+    if name not in shipped():
+        raise ValueError(unknown_name("learned policy", name, shipped(), "an .onnx or .npz file"))
+    paths = (Path(__file__).with_name(f"{name}{ending}") for ending in DATA.endings)
+    return next(path for path in paths if path.exists())
+
+
+def find_file(path_or_name: str | Path) -> Path:
+    """Return the path of a policy file, which may be given by the name of a policy in the library."""
+    return shipped_path(str(path_or_name)) if str(path_or_name) in shipped() else Path(path_or_name)
+
+
+def load(
+    path_or_name: str | Path, layout: ObservationLayout | None = None
+) -> onnx_policy.OnnxPolicy | recurrent.RecurrentPolicy:
+    """Load a learned policy from an ``.onnx`` or ``.npz`` file, or a policy of the library by name.
+
+    Args:
+        path_or_name: the file or name.
+        layout: of the environment in which the policy must be able to act; not checked if left out. The policy of an
+            ``.npz`` file needs it before it acts.
+
+    Raises:
+        ValueError: for an unknown name.
+        FileNotFoundError: when there is no such file.
+        PolicyFileError: when the file is damaged, foreign, too large or of another version, refers to other files, or
+            has operations that are not in :data:`ptne_env.learn.onnx_policy.OPERATORS`.
+        LayoutError: when the policy was made for another layout.
+        ImportError: without onnx and onnxruntime, which ``.onnx`` files need, naming the extra to install.
+    """
+    path = find_file(path_or_name)
+    if path.suffix not in DATA.endings:
+        path = shipped_path(str(path_or_name))  # which says what there is
+    require_file(path)
+    if path.stat().st_size > LARGEST_FILE:
+        raise PolicyFileError(f"{path} has more than {LARGEST_FILE >> 20} MiB")
+    open_policy = onnx_policy.open_policy if path.suffix == ".onnx" else recurrent.open_policy
+    policy: onnx_policy.OnnxPolicy | recurrent.RecurrentPolicy = open_policy(path, path.read_bytes())
+    return policy if layout is None else policy.with_layout(layout)
