@@ -14,7 +14,7 @@ from ptne_env.games import Game, RandomEnergy
 from ptne_env.shared import counter_random
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world.dynamics import State
-from ptne_env.world.world import EpisodeRandomness, World
+from ptne_env.world.world import World
 
 _EQUILIBRIA = ("nash_equilibria", "equilibrium_scale")
 """The cached properties of a game that are leaves: numpy computes them, once per game."""
@@ -111,7 +111,4 @@ jax.tree_util.register_pytree_node(
     State,
     lambda state: (tuple(getattr(state, name) for name in _FIELDS), None),
     lambda _, leaves: State(**dict(zip(_FIELDS, leaves, strict=True)), any_diverged=True),
-)
-jax.tree_util.register_dataclass(
-    EpisodeRandomness, ["modes", "time_since_switch", "channel_keys", "disturbance_keys"], []
 )

@@ -30,7 +30,6 @@ from ptne_env.shared.arrays import (
     FloatArray,
     IntArray,
     array_namespace,
-    replaced,
     require_count,
     require_non_negative,
     require_positive,
@@ -429,11 +428,3 @@ class LateNoise(AdditiveNoise):
         elapsed = memory[0] if memory else xp.zeros(messages.live.shape[-1])
         noisy, _ = super().transmit(messages, None, randomness)
         return replace(messages, values=xp.where(elapsed < self.step, messages.values, noisy.values)), (elapsed + 1,)
-
-
-def merged(old: Memory, fresh: Memory, mask: BoolArray) -> Memory:
-    """The memory ``old`` with the environments in ``mask`` (B,) replaced by those of ``fresh``, in order."""
-    return tuple(
-        merged(before, after, mask) if isinstance(before, tuple) else replaced(before, after, mask)
-        for before, after in zip(old, fresh, strict=True)
-    )

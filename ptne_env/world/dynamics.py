@@ -11,13 +11,12 @@ games: 1, or B where every environment has its own.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ptne_env.games import Game
 from ptne_env.shared.arrays import (
-    Array,
     BoolArray,
     FloatArray,
     IntArray,
@@ -27,7 +26,6 @@ from ptne_env.shared.arrays import (
     without_gradient,
 )
 from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.world import channels
 from ptne_env.world.channels import LinkRandomness, Memory, Messages
 from ptne_env.world.disturbances import Disturbance
 from ptne_env.world.world import RANGE_LIMIT, ComponentOrder, EpisodeRandomness, World
@@ -206,24 +204,16 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
 def merge(state: State, fresh: State, mask: BoolArray) -> State:
     """Replace the environments in ``mask`` (B,), in order, by all those of ``fresh``."""
 
-    def replace(old: Array, new: Array) -> Array:
-        return replaced(old, new, mask)
+    def replace(old: Any, new: Any) -> Any:
+        if isinstance(old, tuple):
+            parts = [replace(*pair) for pair in zip(old, new, strict=True)]
+            return old._make(parts) if hasattr(old, "_make") else tuple(parts)
+        if isinstance(old, Game):
+            return old.merged(new, mask)
+        return old if old is None or isinstance(old, bool) else replaced(old, new, mask)
 
-    diverged, received, randomness = replace(state.diverged, fresh.diverged), state.received, state.randomness
-    if received is not None and fresh.received is not None:
-        received = Received(*channels.merged(received, fresh.received, mask))
-    if randomness is not None and fresh.randomness is not None:
-        randomness = _merge_randomness(randomness, fresh.randomness, mask)
-    return State(
-        replace(state.step, fresh.step),
-        state.game.merged(fresh.game, mask),
-        replace(state.estimates, fresh.estimates),
-        replace(state.own_gradients, fresh.own_gradients),
-        diverged,
-        bool(diverged.any()),
-        randomness,
-        received,
-    )
+    merged: State = replace(state, fresh)
+    return merged._replace(any_diverged=bool(merged.diverged.any()))
 
 
 def batch_size(state: State) -> int:
@@ -429,18 +419,6 @@ def _replace_own(game: Game, estimates: FloatArray, strategies: FloatArray) -> F
         return estimates
     is_own = (game.owners[:, None] == np.arange(game.num_players))[:, :, None]
     return array_namespace(estimates).where(is_own, strategies[:, None], estimates)
-
-
-def _merge_randomness(old: EpisodeRandomness, fresh: EpisodeRandomness, mask: BoolArray) -> EpisodeRandomness:
-    def replace(before: Array | None, new: Array | None) -> Array | None:
-        return before if before is None or new is None else replaced(before, new, mask)
-
-    return EpisodeRandomness(
-        replace(old.modes, fresh.modes),
-        replace(old.time_since_switch, fresh.time_since_switch),
-        replaced(old.channel_keys, fresh.channel_keys, mask),
-        replaced(old.disturbance_keys, fresh.disturbance_keys, mask),
-    )
 
 
 def _rows(estimates: FloatArray) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,8 +29,7 @@ SHORTFALL_WARNING = 0.01
 """A scenario whose last step ends more than this fraction of T short of the deadline gets a warning."""
 
 
-@dataclass(frozen=True)
-class EpisodeRandomness:
+class EpisodeRandomness(NamedTuple):
     """Draws of B episodes besides game and start. Environments last; a field is ``None`` where nothing is drawn.
 
     Attributes:
