@@ -1,4 +1,4 @@
-"""The world: a scenario's parts, built and checked once, and the tables that every step reads."""
+"""The world: the parts of a scenario, built and checked once, and the tables that every step reads."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from ptne_env.world.starts import Start
 from ptne_env.world.switching import Schedule, SwitchingTopology, fixed
 
 RANGE_LIMIT = 5e5
-"""An estimate or own gradient outside ±RANGE_LIMIT, or not finite, has diverged."""
+"""An estimate or own gradient that is outside ±RANGE_LIMIT, or not finite, has diverged."""
 
 SHORTFALL_WARNING = 0.01
-"""A scenario whose last step ends more than this fraction of T short of the deadline gets a warning."""
+"""The fraction of T by which the last step of a scenario may end short of the deadline without a warning."""
 
 
 class EpisodeRandomness(NamedTuple):
-    """Draws of B episodes besides game and start. Environments last; a field is ``None`` where nothing is drawn.
+    """What B episodes draw besides their games and starts; a field is ``None`` where nothing is drawn.
 
     Attributes:
-        modes: active graph at each instant, shape (K+H+1, B), int16.
-        time_since_switch: time since the last switch over the mean dwell, clipped to [0, 1], shape (K+H+1, B),
+        modes: the active graph at each instant, shape (K+H+1, B), int16.
+        time_since_switch: the time since the last switch over the mean dwell, clipped to [0, 1], shape (K+H+1, B),
             float32.
-        channel_keys: keys of the channel's random numbers, shape (B,).
-        disturbance_keys: keys of the disturbance's random numbers, shape (B,).
+        channel_keys: the keys of the channel's random numbers, shape (B,).
+        disturbance_keys: the keys of the disturbance's random numbers, shape (B,).
     """
 
     modes: npt.NDArray[np.int16] | None
@@ -47,11 +47,11 @@ class EpisodeRandomness(NamedTuple):
 
 
 class ComponentOrder(NamedTuple):
-    """Rows of ``estimates.reshape(n N, B)`` that list, per player, components in some order.
+    """Rows of ``estimates.reshape(n N, B)`` that list the components of each player in some order.
 
     Attributes:
-        own: rows of the players' own estimates, shape (n, N).
-        senders: rows of the estimates of the neighbour in each slot, shape (D, n, N).
+        own: the rows of the players' own estimates, shape (n, N).
+        senders: the rows of the estimates of the neighbour in each slot, shape (D, n, N).
     """
 
     own: IntArray
@@ -59,13 +59,13 @@ class ComponentOrder(NamedTuple):
 
 
 class World:
-    """A scenario, built and checked; read-only, so that any number of environments share it.
+    """A scenario, built and checked. It is read-only, so that any number of environments share it.
 
     Args:
-        scenario: names the parts.
+        scenario: the scenario, which names the parts.
 
     Attributes:
-        scenario: as given.
+        scenario: the same scenario.
         game_family: draws the game of an episode; a :class:`~ptne_env.games.SingleGame` where all episodes play one.
         game: the game, or a typical member of the family; states hold the games that are played.
         topology, start, clock, channel: the other parts.
@@ -157,7 +157,7 @@ class World:
         return self.has_random_game or self.start.is_random or self.has_episode_randomness
 
     def draw_game(self, streams: Sequence[RandomStreams]) -> Game:
-        """The games of an episode, one environment per entry of ``streams``.
+        """Draw the games of an episode, one environment per entry of ``streams``.
 
         Raises:
             ValueError: when a drawn game is not strongly monotone, unless the family declares this.
@@ -168,12 +168,12 @@ class World:
         return game
 
     def draw_estimates(self, streams: Sequence[RandomStreams]) -> FloatArray:
-        """Initial estimates, one environment per entry of ``streams``: shape (n, N, B)."""
+        """Draw initial estimates, one environment per entry of ``streams``: shape (n, N, B)."""
         players, dimension = self.game.num_players, self.game.dimension
         return np.stack([self.start.draw(players, dimension, stream.start) for stream in streams], axis=-1)
 
     def draw_randomness(self, streams: Sequence[RandomStreams]) -> EpisodeRandomness | None:
-        """Remaining draws of an episode, one environment per entry of ``streams``; ``None`` where there are none."""
+        """Draw what an episode draws besides, one environment per entry of ``streams``; ``None`` for nothing."""
         if not self.has_episode_randomness:
             return None
         modes = age = None
@@ -184,10 +184,10 @@ class World:
         return EpisodeRandomness(modes, age, *np.array(keys, dtype=np.uint64))
 
     def order_components(self, order: IntArray) -> ComponentOrder:
-        """The rows of estimates in another order of components.
+        """Return the rows of estimates in another order of components.
 
         Args:
-            order: component at each place of each player's order, shape (N, n).
+            order: the component at each place of each player's order, shape (N, n).
         """
         first_rows = order.T * self.game.num_players
         return ComponentOrder(
@@ -229,7 +229,7 @@ class World:
             )
 
     def _warn_unless_monotone(self) -> None:
-        """Warn where F is affine and not monotone; a family declares it, and other games are checked on samples."""
+        """Warn where F is affine and not monotone; families declare it, and other games are checked on samples."""
         if not (self.game.is_affine and not self.has_random_game):
             return
         jacobian = self.game.jacobian(np.zeros((self.game.dimension, 1)))[..., 0]
