@@ -17,14 +17,18 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
+from typing import get_args
 
 from ptne_env import CATALOGUE, evaluate
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, Results
 from ptne_env.evaluation.metrics import number
 from ptne_env.execution import Runner, Workers
+from ptne_env.perception.encoder import Encoder
+from ptne_env.perception.fields import FIELDS, InterfaceKind
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites import leaderboard, run_suite
 from ptne_env.suites.robustness import robustness
+from ptne_env.world.world import World
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "baselines" / "results.csv"
@@ -243,7 +247,19 @@ def every(found: Published, suite: str) -> str:
     return markdown([suite.replace("comparison", "scenario"), "policy", "digits", "mean regret"], rows)
 
 
+def fields(_: Published) -> str:
+    """The fields of the observation, and where they are under each kind of interface, in ``energy``."""
+    kinds = get_args(InterfaceKind)
+    slices = [Encoder(World(CATALOGUE["energy"]), kind).layout.slices for kind in kinds]
+    rows = [["Slice", "Size", *(f"`{kind}`" for kind in kinds), "Content"], ["---"] * (len(kinds) + 3)]
+    for name, field in FIELDS.items():
+        places = [f"{part[name].start}:{part[name].stop}" if name in part else "–" for part in slices]
+        rows.append([f"`{name}`", field.size, *places, field.content])
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
+
+
 TABLES: dict[str, Callable[[Published], str]] = {
+    "fields": fields,
     "headline": headline,
     "ptne-v1": lambda found: by_track(found, "ptne-v1", [*SHOWN, "oracle"]),
     "ptne-v1-overall": overall,

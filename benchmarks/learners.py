@@ -14,7 +14,7 @@ from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.perception.observation import InterfaceKind
+from ptne_env.perception.fields import InterfaceKind
 from ptne_env.training import defaults
 
 _ALGORITHMS = {"PPO": PPO, "SAC": SAC, "TD3": TD3}

@@ -20,7 +20,7 @@ from benchmarks import peers
 from benchmarks.timing import Contender, interleave
 from ptne_env import parallel_env
 from ptne_env.envs.vector import VectorParallelEnv
-from ptne_env.perception.observation import InterfaceKind
+from ptne_env.perception.fields import InterfaceKind
 from ptne_env.shared.arrays import Float32Array
 
 INTERFACES: tuple[InterfaceKind, ...] = ("scaled", "physical")

@@ -45,7 +45,7 @@ class Twin(NamedTuple):
 
 def ours(num_envs: int, name: str = "ptne_env on JAX", scenario: str = SCENARIO, **changes: Any) -> Twin:
     """The world on JAX, in as many environments, with some fields of the scenario changed."""
-    world = ptne_env.jax.world(scenario, interface="physical", **changes)
+    world = ptne_env.jax.JaxWorld(scenario, interface="physical", **changes)
     tile = min(TILE, max(1, num_envs // THREADS)) if jax.default_backend() == "cpu" else num_envs
 
     first = jax.jit(lambda key: world.reset(key, tile))
@@ -146,7 +146,7 @@ def growths() -> dict[str, dict[str, Any]]:
 
 def episode(num_envs: int) -> str:
     """A whole episode under the static law, in one call."""
-    world = ptne_env.jax.world(SCENARIO, interface="physical")
+    world = ptne_env.jax.JaxWorld(SCENARIO, interface="physical")
     policy = ptne_env.jax.static(world.layout)
     run = jax.jit(lambda key: ptne_env.jax.rollout(world, policy, key, num_envs).digits[-1])
     times = []
@@ -159,13 +159,13 @@ def episode(num_envs: int) -> str:
 
 def seeds(count: int = 16, updates: int = 20) -> str:
     """Trainings of several seeds at once, against one."""
-    world = ptne_env.jax.world(SCENARIO)
+    world = ptne_env.jax.JaxWorld(SCENARIO)
 
     def act(params: Any, observation: jax.Array, memory: Any) -> tuple[jax.Array, Any]:
         return jnp.tanh(params["out"] @ jnp.tanh(params["in"] @ observation)), memory
 
     def loss(params: Any, key: jax.Array) -> jax.Array:
-        return -ptne_env.jax.rollout(world, ptne_env.jax.Policy(act, params), key, 16, steps=20).rewards.mean()
+        return -ptne_env.jax.rollout(world, ptne_env.jax.JaxPolicy(act, params), key, 16, steps=20).rewards.mean()
 
     def train(key: jax.Array) -> jax.Array:
         shapes = {"in": (64, world.layout.size), "out": (world.layout.action_size, 64)}

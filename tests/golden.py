@@ -15,7 +15,7 @@ from worlds import BLOCKS_SWITCHING, FAULTY, begin, channel_part
 
 import ptne_env
 from ptne_env import FactorySpec, Interface, laws
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.files import write_atomically
 from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import PHYSICS
@@ -58,7 +58,7 @@ def mixture(array):
 def trajectory(scenario, kind):
     """Four numbers at each of the instants, by name, under random actions of two environments."""
     world = World(scenario)
-    encoder, reward = make_encoder(world, Interface(kind)), Reward(world)
+    encoder, reward = Encoder(world, Interface(kind)), Reward(world)
     state, generator = begin(world, [SEED, SEED + 1]), np.random.default_rng(SEED)
     reward.reset(state)
     found, total = {name: [] for name in NUMBERS}, 0.0
@@ -77,7 +77,7 @@ def trajectory(scenario, kind):
 def end(scenario):
     """The digits of the static law at the deadline, of one episode."""
     world = World(scenario)
-    encoder, state = make_encoder(world, laws.Static.interface), begin(world, [SEED])
+    encoder, state = Encoder(world, laws.Static.interface), begin(world, [SEED])
     law = laws.Static(encoder.layout)
     for _ in range(world.clock.steps):
         state = dynamics.step(world, state, encoder.decode(law.predict(encoder.observe(state)[0])[0][None], state))

@@ -1,10 +1,12 @@
 """Scenarios, oracles and loops that several tests share."""
 
 import numpy as np
+import pytest
 
 import ptne_env
 from ptne_env import CATALOGUE, FactorySpec, Interface, Scenario
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
+from ptne_env.perception.fields import FIELDS, Field
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
 from ptne_env.world.dynamics import State
@@ -171,10 +173,31 @@ def make_env(scenario, **arguments):
     return ptne_env.parallel_env(from_the_paper(scenario), **{"interface": "physical", **arguments})
 
 
-def world_and_encoder(scenario, **interface):
-    """A world, of a name from the paper's start, and its encoder, in natural units if ``kind`` is left out."""
+def world_and_encoder(scenario, kind="physical"):
+    """A world, of a name from the paper's start, and its encoder, of an interface or of a name of one."""
     world = World(from_the_paper(scenario))
-    return world, make_encoder(world, Interface(**{"kind": "physical", **interface}))
+    return world, Encoder(world, kind)
+
+
+DEGREE = Field(
+    "degree", "1", lambda view: (view.weights > 0).sum(0)[None], "live links", lambda layout: (0, layout.slots)
+)
+OWN_COST = Field("own_cost", "1", lambda view: view.state.game.costs(dynamics.strategies(view.state))[None], "$J_i(x)$")
+"""Fields that the library lacks."""
+
+
+def with_field(name, units):
+    """The interface of these units that has a field besides the default ones."""
+    return Interface(units, fields=(*Interface(units).fields, name))
+
+
+def every_field():
+    """Each field of the observation in each of the units in which it is available, as an interface."""
+    return [
+        pytest.param(name, with_field(name, units), id=f"{name}-{units}")
+        for name, field in FIELDS.items()
+        for units in sorted({Interface(kind).units for kind in field.kinds or ("scaled", "physical")})
+    ]
 
 
 def large_energy_scenario(players=11, **fields):

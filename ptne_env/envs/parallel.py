@@ -16,7 +16,8 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from ptne_env.envs.rendering import Renderer
 from ptne_env.envs.simulation import Simulation, changed_scenario, initial_estimates, player_encoder, require_options
 from ptne_env.perception.encoder import NonFiniteActionError
-from ptne_env.perception.observation import OBSERVATION_BOUND, Interface, InterfaceKind, ObservationLayout
+from ptne_env.perception.fields import OBSERVATION_BOUND, InterfaceKind
+from ptne_env.perception.observation import Interface, ObservationLayout
 from ptne_env.shared.arrays import Float32Array, FloatArray
 from ptne_env.world import dynamics
 from ptne_env.world.catalogue import CATALOGUE

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.perception.encoder import Encoder, make_encoder
-from ptne_env.perception.observation import Interface, InterfaceKind, ObservationLayout
+from ptne_env.perception.encoder import Encoder
+from ptne_env.perception.fields import InterfaceKind
+from ptne_env.perception.observation import Interface, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, as_plain, require_count
 from ptne_env.shared.names import suggestion
 from ptne_env.shared.random_streams import RandomStreams
@@ -85,16 +86,15 @@ def player_encoder(world: World, interface: InterfaceKind | Interface) -> Encode
     """The encoder of an environment, which shows no more than players see.
 
     Raises:
-        ValueError: for an unknown interface, and for ``full``.
+        ValueError: for an unknown interface, and for one with a field that players lack, such as ``full``.
     """
-    if not isinstance(interface, Interface):
-        interface = Interface(interface)
-    if interface.kind == "full":
+    encoder = Encoder(world, interface)
+    if encoder.layout.interface.is_privileged:
         raise ValueError(
-            "the interface 'full' shows information that players lack and is for oracles in evaluations only; choose "
-            "'scaled' or 'physical'"
+            f"{encoder.layout.interface} shows information that players lack and is for oracles in evaluations only; "
+            "choose 'scaled' or 'physical'"
         )
-    return make_encoder(world, interface)
+    return encoder
 
 
 def require_options(options: Any, *known: str) -> Mapping[str, Any]:

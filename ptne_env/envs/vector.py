@@ -10,7 +10,8 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from ptne_env.envs.simulation import Simulation, Start, changed_scenario, initial_estimates, player_encoder
-from ptne_env.perception.observation import Interface, InterfaceKind, ObservationLayout
+from ptne_env.perception.fields import InterfaceKind
+from ptne_env.perception.observation import Interface, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain, require_count, require_mask
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World

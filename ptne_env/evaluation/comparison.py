@@ -16,7 +16,7 @@ from ptne_env.evaluation.policy_spec import PolicySpec, get_policy_spec
 from ptne_env.evaluation.results import Place, Results, Samples
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.evaluation.tracks import Track, compared_tracks
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.observation import LayoutError, ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError
 from ptne_env.shared.arrays import FloatArray, require_count
@@ -74,7 +74,7 @@ class Job:
         deciding = [player for player in range(world.game.num_players) if player not in taken]
         audited = thorough or self.policy.is_own
         try:
-            encoder = make_encoder(world, self.policy.interface)
+            encoder = Encoder(world, self.policy.interface)
             start = _draw_start(world, self.episodes)
             for fills in (False, True):
                 policy = self.policy.build(encoder.layout, self.training_seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -77,7 +77,7 @@ class PolicySpec:
     @property
     def is_oracle(self) -> bool:
         """Whether it uses information that players lack."""
-        return self.interface.kind == "full"
+        return self.interface.is_privileged
 
     @property
     def is_law(self) -> bool:
@@ -138,7 +138,7 @@ class PolicySpec:
         """A JSON object with the parameters of every training seed, and the SHA-256 of its file."""
         return {
             "name": self.name,
-            "interface": asdict(self.interface),
+            "interface": self.interface.to_dict(),
             "training_seeds": [_source_to_dict(source) for source in self.training_seeds],
         }
 
@@ -156,7 +156,7 @@ class PolicySpec:
             sources = tuple(
                 FactorySpec.from_dict({key: seed[key] for key in ("target", "arguments")}) for seed in seeds
             )
-            interface = Interface(**data["interface"])
+            interface = Interface.from_dict(data["interface"])
             return cls(data["name"], sources if len(sources) != 1 else sources[0], interface)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"not a policy: {type(error).__name__}: {error}") from None
@@ -173,8 +173,8 @@ def _require_observations_of(layout: ObservationLayout, model: Any) -> None:
         )
     if expected not in (None, (layout.size,)):
         raise LayoutError(
-            f"it was trained on observations of shape {expected}, and this track with the interface "
-            f"{layout.interface.kind!r} has {(layout.size,)}; if it was trained with another interface, give that "
+            f"it was trained on observations of shape {expected}, and this track with "
+            f"{layout.interface} has {(layout.size,)}; if it was trained with another interface, give that "
             "one: PolicySpec(name, model, ptne_env.Interface('physical'))"
         )
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.rollout import Member
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.arrays import require_count, require_flag, require_printable
 from ptne_env.shared.parts import FactorySpec, foreign_targets, resolve
 from ptne_env.world.catalogue import get_scenario
@@ -36,7 +36,7 @@ class Teammates:
             ValueError: when their policy cannot act there.
         """
         spec = PolicySpec("teammates", self.policy)
-        encoder = make_encoder(world, spec.interface)
+        encoder = Encoder(world, spec.interface)
         return Member(spec.build(encoder.layout), encoder, self.players)
 
     def to_dict(self) -> dict[str, Any]:

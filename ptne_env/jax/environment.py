@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ptne_env.jax.records import Games, columns, uniforms
-from ptne_env.perception.encoder import make_encoder
-from ptne_env.perception.observation import INPUT_PER_ACTION, SMALLEST_SCALE, Interface, InterfaceKind
+from ptne_env.perception.encoder import Encoder
+from ptne_env.perception.fields import InterfaceKind
+from ptne_env.perception.observation import INPUT_PER_ACTION, Interface
 from ptne_env.shared import counter_random
 from ptne_env.shared.arrays import require_count
 from ptne_env.shared.random_streams import RandomStreams
@@ -25,14 +26,13 @@ from ptne_env.world.dynamics import State
 from ptne_env.world.rewards import Reward, measure_distances
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.starts import UniformStart
-from ptne_env.world.world import EpisodeRandomness
-from ptne_env.world.world import World as NumpyWorld
+from ptne_env.world.world import EpisodeRandomness, World
 
 _TABLES = ("mode_weights", "modes", "time_since_switch", "next_step", "is_last_step")
 """The tables of a world that a step looks up by numbers that JAX knows only when it runs."""
 
 
-class World:
+class JaxWorld:
     """B environments of a scenario as pure functions, which JAX compiles, maps, differentiates and scans.
 
     All arrays have environments last, also observations and actions: a state's estimates are (n, N, B). Nothing here
@@ -66,9 +66,8 @@ class World:
         **changes: Any,
     ) -> None:
         require_x64()
-        self.numpy, self.dtype = NumpyWorld(get_scenario(scenario, **changes)), dtype
-        interface = interface if isinstance(interface, Interface) else Interface(interface)
-        self._encoder = make_encoder(self.numpy, interface)
+        self.numpy, self.dtype = World(get_scenario(scenario, **changes)), dtype
+        self._encoder = Encoder(self.numpy, interface)
         self.layout = self._encoder.layout
         self._world = copy.copy(self.numpy)
         for name in _TABLES:
@@ -77,7 +76,7 @@ class World:
         for name in ("theta", "dt"):
             setattr(self._world.clock, name, jnp.asarray(getattr(self._world.clock, name)))
         self._games = Games(self.numpy, require_count("pool", pool, 1))
-        self._clock_table = jnp.asarray(self._encoder.clock_table)
+        self._parts = [each if callable(each) else jnp.asarray(each) for _, each in self._encoder.parts]
         self._starts, self._schedules = self._drawn_starts(pool), self._drawn_schedules(pool)
 
     @partial(jax.jit, static_argnums=(0, 2))
@@ -143,36 +142,20 @@ class World:
         )
 
     def _observed(self, state: State) -> jax.Array:
-        layout, world = self.layout, self._world
-        players, batch = state.estimates.shape[1:]
-        weights = dynamics.weights(world, state)
-        differences = self._differences(state, weights)
-        scale = _scale(differences)
-        own, clock = len(self._encoder.gradient_rows), self._clock_table[:, :, state.step]
-        if layout.interface.kind == "scaled":
-            differences = differences / scale
-        age = dynamics.time_since_switch(world, state)[None, None] if world.topology.is_random else clock[4:]
-        parts = {
-            "own_gradient": differences[:own],
-            "own_estimate": state.estimates,
-            "relative_estimates": differences[own:],
-            "weights": self._in_slots(weights),
-            "log_scale": jnp.log10(scale)[None] / layout.units[0],
-            "clock": clock[:4],
-            "time_since_switch": age,
-            "player": jnp.eye(players)[:, :, None],
-            "relative_equilibrium": state.game.nash_equilibria[:, None] - state.estimates,
-        }
-        chosen = (parts[name].astype(self.dtype) for name in layout.slices)
-        return jnp.concatenate([jnp.broadcast_to(part, (len(part), players, batch)) for part in chosen])
+        view, shape = self._encoder.look(self._world, state), state.estimates.shape[1:]
+        parts = (
+            part(view) if callable(part) else part if part.shape[2] == 1 else part[:, :, state.step]
+            for part in self._parts
+        )
+        return jnp.concatenate([jnp.broadcast_to(part.astype(self.dtype), (len(part), *shape)) for part in parts])
 
     def inputs(self, state: State, actions: jax.Array) -> jax.Array:
         """The inputs within the input limit that actions (n, N, B) in the world's interface ask for, (n, N, B)."""
         layout, bound = self.layout, self.layout.action_bound
         actions = jnp.clip(actions.astype(self.dtype), -bound, bound).astype(jnp.float64)
-        if layout.interface.kind != "scaled":
+        if not layout.is_scaled:
             return actions
-        wanted = actions * (INPUT_PER_ACTION * _scale(self._differences(state, dynamics.weights(self._world, state))))
+        wanted: Any = actions * (INPUT_PER_ACTION * self._encoder.look(self._world, state).scale)
         in_order = wanted[layout.ego_place.T, np.arange(layout.num_players)]
         return jnp.clip(in_order, -layout.input_limit, layout.input_limit)
 
@@ -220,22 +203,6 @@ class World:
                 f"line {frames[-1].lineno}"
             ) from error
 
-    def _differences(self, state: State, weights: jax.Array) -> jax.Array:
-        """Own gradients, then x^j − x^i per slot, in the interface's order and natural units: (m + D n, N, B)."""
-        encoder, layout = self._encoder, self.layout
-        gradients = state.own_gradients[encoder.gradient_rows]
-        if encoder.gradient_mask is not None:
-            gradients = gradients * encoder.gradient_mask
-        relative = dynamics.relative_estimates(self._world, state, weights)
-        if layout.interface.kind == "scaled":
-            slots: Any = encoder.slot_order
-            relative = relative[slots[:, None], layout.ego_order.T, np.arange(layout.num_players)]
-        return jnp.concatenate([gradients, relative.reshape(-1, *gradients.shape[1:])])
-
-    def _in_slots(self, weights: jax.Array) -> jax.Array:
-        order = self._encoder.slot_order
-        return weights if order is None else weights[order, np.arange(self.layout.num_players)]
-
 
 def require_x64() -> None:
     """Check that JAX computes in float64, as the dynamics need it; the setting is never changed.
@@ -250,14 +217,5 @@ def require_x64() -> None:
         )
 
 
-def _scale(differences: jax.Array) -> jax.Array:
-    """σ_i, the largest of the differences (m + D n, N, B), shape (N, B)."""
-    return jnp.maximum(jnp.abs(differences).max(0), SMALLEST_SCALE)
-
-
 def _streams(count: int) -> list[RandomStreams]:
     return [RandomStreams.from_seed(seed) for seed in range(count)]
-
-
-world = World
-"""The name for calls, ``world("random-energy-switching", steps=200)``."""

@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ptne_env.jax.environment import World
+from ptne_env.jax.environment import JaxWorld
 from ptne_env.laws.adaptive import adaptive_inputs
 from ptne_env.laws.grounded import grounded_inputs
 from ptne_env.laws.static import static_inputs
-from ptne_env.perception.observation import Interface, LayoutError, Observation, ObservationLayout
+from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout, row_of
 from ptne_env.perception.policy import RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array
 from ptne_env.world.dynamics import State
@@ -25,7 +25,7 @@ Act = Callable[[Any, jax.Array, Any], tuple[jax.Array, Any]]
 
 
 @dataclass(frozen=True)
-class Policy(RowPolicy):
+class JaxPolicy(RowPolicy):
     """A pure function with its parameters; a pytree, so that JAX differentiates and maps it by its parameters.
 
     It has ``predict``, as every policy, so it may be an entry of :func:`ptne_env.evaluate`:
@@ -71,10 +71,10 @@ class Policy(RowPolicy):
         return jax.jit(decide)
 
 
-jax.tree_util.register_dataclass(Policy, ["params", "memory"], ["act", "interface", "layout"])
+jax.tree_util.register_dataclass(JaxPolicy, ["params", "memory"], ["act", "interface", "layout"])
 
 
-class Rollout(NamedTuple):
+class JaxRollout(NamedTuple):
     """Episodes of a policy.
 
     Attributes:
@@ -91,15 +91,15 @@ class Rollout(NamedTuple):
 
 
 def rollout(
-    world: World,
-    policy: Policy,
+    world: JaxWorld,
+    policy: JaxPolicy,
     key: jax.Array | State,
     num_envs: int = 1,
     *,
     steps: int | None = None,
     reward: str | Mapping[str, float] = "digits",
     memory: Any = None,
-) -> Rollout:
+) -> JaxRollout:
     """Run a policy through whole episodes: every player decides, all inputs are held for a step, and again.
 
     Args:
@@ -108,7 +108,7 @@ def rollout(
         key: draws the episodes; or the state from which they go on.
         num_envs: B, if a key is given.
         steps: number of steps; to the end of the episodes if left out.
-        reward: as for :meth:`World.rewards`.
+        reward: as for :meth:`JaxWorld.rewards`.
         memory: of all players, with which they go on; that of a start if left out.
 
     Raises:
@@ -136,64 +136,39 @@ def rollout(
     # A gradient computes each step again instead of storing its numbers, which is faster, as they stay in the cache.
     again = jax.checkpoint(step, prevent_cse=False)
     (state, memory), (rewards, digits) = jax.lax.scan(again, (state, memory), length=count)
-    return Rollout(state, memory, rewards, digits)
+    return JaxRollout(state, memory, rewards, digits)
 
 
-def static(layout: ObservationLayout, kappa: float = 2.0, gradient_gain: float = 1.0) -> Policy:
+def static(layout: ObservationLayout, kappa: float = 2.0, gradient_gain: float = 1.0) -> JaxPolicy:
     """The law :class:`ptne_env.laws.Static`; its parameters are κ and g."""
 
     def act(params: Any, observation: jax.Array, memory: Any) -> tuple[jax.Array, Any]:
-        return static_inputs(read(layout, observation), **params), memory
+        return static_inputs(layout.read(observation), **params), memory
 
     return _law(layout, act, {"kappa": kappa, "gradient_gain": gradient_gain})
 
 
-def adaptive(layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> Policy:
+def adaptive(layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> JaxPolicy:
     """The law :class:`ptne_env.laws.Adaptive`; its parameter is γ, and its memory are the gains of its links."""
 
     def act(params: Any, observation: jax.Array, gains: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return adaptive_inputs(read(layout, observation), gains, **params)
+        return adaptive_inputs(layout.read(observation), gains, **params)
 
     return _law(layout, act, {"gamma": gamma}, np.full(layout.slots, initial_gain))
 
 
-def grounded(layout: ObservationLayout, kappa: float = 2.0) -> Policy:
+def grounded(layout: ObservationLayout, kappa: float = 2.0) -> JaxPolicy:
     """The law :class:`ptne_env.laws.Grounded`; its parameter is κ."""
 
     def act(params: Any, observation: jax.Array, memory: Any) -> tuple[jax.Array, Any]:
         player = observation[layout.slices["player"]]
-        own, leaders = (_of_player(table, player) for table in (layout.own_mask, layout.neighbour_components))
-        return grounded_inputs(read(layout, observation), own > 0, leaders, **params), memory
+        own, leaders = (row_of(table, player) for table in (layout.own_mask, layout.neighbour_components))
+        return grounded_inputs(layout.read(observation), own, leaders, **params), memory
 
     return _law(layout, act, {"kappa": kappa})
 
 
-def read(layout: ObservationLayout, observation: jax.Array) -> Observation:
-    """What one player sees, (size,), under ``physical`` or ``full``; see :meth:`ObservationLayout.read`, without R."""
-    seen = {name: observation[part].astype(jnp.float64) for name, part in layout.slices.items()}
-    places = layout.own_components[:, :, None] == np.arange(layout.dimension)  # (N, m, n)
-    elapsed, transformed, theta, dt = jnp.split(seen["clock"], 4)
-    return Observation(
-        player=seen["player"].argmax(),
-        gradient=(seen["own_gradient"][:, None] * _of_player(places, seen["player"])).sum(0),
-        relative_estimates=seen["relative_estimates"].reshape(layout.slots, layout.dimension),
-        weights=seen["weights"],
-        unit=jnp.ones(1),
-        theta=theta,
-        dt=dt * layout.deadline,
-        elapsed=elapsed,
-        transformed=transformed,
-        relative_equilibrium=seen.get("relative_equilibrium", jnp.empty(0)),
-        own_estimate=seen["own_estimate"],
-    )
-
-
-def _of_player(table: BoolArray, player: jax.Array) -> jax.Array:
-    """The row of a table (N, ...) of a player, who is one-hot, (N,): a product, which is faster than a look-up."""
-    return jnp.tensordot(player, table.astype(player.dtype), axes=1)
-
-
-def _law(layout: ObservationLayout, act: Act, params: Any, memory: Any = ()) -> Policy:
-    if layout.interface.kind == "scaled":
+def _law(layout: ObservationLayout, act: Act, params: Any, memory: Any = ()) -> JaxPolicy:
+    if layout.is_scaled:
         raise LayoutError("the laws act in natural units: make the world with interface='physical'")
-    return Policy(act, params, memory, layout.interface, layout)
+    return JaxPolicy(act, params, memory, layout.interface, layout)

@@ -65,7 +65,9 @@ class Metadata:
 
     def to_json(self) -> str:
         """Return the description as a JSON text."""
-        return json.dumps(asdict(self) | {"interface": self.interface.kind}, allow_nan=False, sort_keys=True)
+        interface = self.interface.to_dict()
+        named = {"interface": interface["kind"] if interface.keys() == {"kind"} else interface}
+        return json.dumps(asdict(self) | named, allow_nan=False, sort_keys=True)
 
     @classmethod
     def from_json(cls, text: str) -> Metadata:
@@ -76,7 +78,9 @@ class Metadata:
         """
         try:
             data: dict[str, Any] = json.loads(text)
-            data |= {"interface": Interface(data["interface"]), "action_dims": tuple(data["action_dims"])}
+            interface = data["interface"]
+            interface = Interface.from_dict(interface) if isinstance(interface, dict) else Interface(interface)
+            data |= {"interface": interface, "action_dims": tuple(data["action_dims"])}
             metadata = cls(**data)
         except (KeyError, TypeError, ValueError, RecursionError) as error:
             raise PolicyFileError(f"the policy's metadata is damaged or of another version: {error!r}") from error

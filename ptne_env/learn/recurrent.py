@@ -73,7 +73,7 @@ class Seen(NamedTuple):
 def read(layout: ObservationLayout, observations: Any, player: npt.NDArray[np.int64]) -> Seen:
     """The content of observations (size, M) of some players (M,), under ``physical``."""
     parts = {name: observations[part] for name, part in layout.slices.items()}
-    tables = layout.own_mask, layout.neighbour_components, np.eye(layout.dimension + 1)[layout.own_components, :-1]
+    tables = layout.own_mask, layout.neighbour_components, layout.own_places
     own, leads, places = (np.moveaxis(table[player], 0, -1).astype(np.float32, order="C") for table in tables)
     return Seen(
         gradient=ordered_sum(parts["own_gradient"][:, None] * places, 0),

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from ptne_env.perception.observation import LOG_SCALE_UNIT, SMALLEST_SCALE, Interface, ObservationLayout
+from ptne_env.perception.fields import LOG_SCALE_UNIT, SMALLEST_SCALE
+from ptne_env.perception.observation import Interface, ObservationLayout
 from ptne_env.perception.policy import BLOCK, PolicyFileError, RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array
 from ptne_env.shared.files import require_file

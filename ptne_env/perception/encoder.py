@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-import copy
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from itertools import groupby
+from operator import attrgetter
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.perception.observation import (
-    INPUT_PER_ACTION,
-    SMALLEST_SCALE,
-    Interface,
-    ObservationLayout,
-)
-from ptne_env.shared.arrays import Float32Array, FloatArray, IntArray
+from ptne_env.perception.fields import FIELDS, SMALLEST_SCALE, InterfaceKind
+from ptne_env.perception.observation import INPUT_PER_ACTION, Interface, ObservationLayout
+from ptne_env.shared.arrays import Float32Array, FloatArray, IntArray, array_namespace, is_numpy
 from ptne_env.world import dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import World
 
 _PADDING = 16
 """Unused columns at the end of each row of a workspace, in batches of more environments than this."""
+
+_NO_SCALE = np.ones((1, 1))
+
+_DIFFERENCES = "own_gradient", "relative_estimates"
+"""Fields that are written in one pass where they are neighbours."""
 
 _WORKSPACES = 2
 """Observation workspaces of an encoder, one per batch size: a vector environment has blocks of two sizes."""
@@ -32,22 +32,58 @@ class NonFiniteActionError(ValueError):
     """An action holds NaN or infinity."""
 
 
+class View(NamedTuple):
+    """B environments at one instant, with numpy or JAX: what the fields of an observation are computed from.
+
+    Attributes:
+        world: the world.
+        layout: of the observation.
+        state: the state.
+        weights: a_ij in each slot of the layout, shape (D, N, B), or (D, N, 1) where all environments agree.
+        scale: σ_i, shape (N, B); 1 in natural units, shape (1, 1).
+        differences: own gradients, then relative estimates, in the units and order of the interface, (m + D n, N, B).
+        own_gradients: ∂J_i/∂x_i(x^i), padded with 0, shape (m, N, B).
+        relative_estimates: x^j − x^i per slot, shape (D n, N, B).
+    """
+
+    world: World
+    layout: ObservationLayout
+    state: State
+    weights: FloatArray
+    scale: FloatArray
+    differences: FloatArray
+    own_gradients: FloatArray
+    relative_estimates: FloatArray
+
+    @property
+    def times(self) -> Float32Array:
+        """t/T, s, Θ_k and Δt_k/T, shape (4, 1, B)."""
+        return _tabulate_clock(self.world)[:, None, self.state.step]
+
+    @property
+    def time_since_switch(self) -> Float32Array:
+        """In units of the mean dwell, clipped to 1, shape (1, 1, B)."""
+        return dynamics.time_since_switch(self.world, self.state)[None, None].astype(np.float32)
+
+
 class _Workspace(NamedTuple):
     """Memory in which an encoder assembles the observations of one batch size.
 
     Attributes:
-        fields: views of each slice, environments last; ``everything`` is (B, N size).
-        scratch: own gradients, then relative estimates in float64, (m + D n, N, B).
-        relative: the view of ``scratch`` that holds the relative estimates, (D, n, N, B).
+        everything: the observations, (B, N size).
+        tables: where tables of parts go, and the tables.
+        values: where other parts go, and the functions of a view that compute them.
+        differences: the last three arrays of a view.
     """
 
-    fields: dict[str, Float32Array]
-    scratch: FloatArray
-    relative: FloatArray
+    everything: Float32Array
+    tables: list[tuple[Float32Array, Any]]
+    values: list[tuple[Float32Array, Any]]
+    differences: tuple[FloatArray, ...]
 
 
-class Encoder(ABC):
-    """Observations and inputs of one interface in one world. Make one with :func:`make_encoder`.
+class Encoder:
+    """Observations and inputs of one interface in one world.
 
     Args:
         world: the world.
@@ -55,48 +91,46 @@ class Encoder(ABC):
 
     Attributes:
         world: as given.
-        interface: as given.
         layout: of observations and actions; policies are built from it.
-        clock_table: t/T, s, Θ_k, Δt_k/T and the time since the last switch as observed, float32, shape (5, 1,
-            K+H+1), the same for all players.
-        slot_order: the world's neighbour slot in each slot of the layout, shape (D, N); ``None`` for the same slots.
-        gradient_rows: row of the own gradients in each place of a player's own block, shape (m, N).
-        gradient_mask: False in padded places, shape (m, N, 1); ``None`` where no place is padded.
+        parts: of the observation: where they are, and a table for each step, shape (size, N or 1, K+H+1), or for all,
+            (size, N or 1, 1), or else the function of a :class:`View` that computes them. Neighbours are one part where
+            that is possible, as few writes are fast.
     """
 
-    def __init__(self, world: World, interface: Interface) -> None:
-        self.world = world
-        self.interface = interface
-        game, clock = world.game, world.clock
-        # All environments at the same step share the clock and the time since the last switch.
-        times = [clock.t / clock.deadline, clock.s, clock.theta, clock.dt / clock.deadline, world.time_since_switch]
-        self.clock_table = np.stack(times)[:, None].astype(np.float32)
-        self.slot_order = self._order_slots()
-        largest_t, largest_s, largest_theta, largest_dt = self.clock_table[:4].max(axis=(1, 2)).tolist()
+    def __init__(self, world: World, interface: InterfaceKind | Interface = "scaled") -> None:
+        self.world, game = world, world.game
+        interface = interface if isinstance(interface, Interface) else Interface(interface)
+        self._slot_order = _ego_slots(world) if interface.units == "scaled" else None
+        largest_t, largest_s, largest_theta, largest_dt = _tabulate_clock(world).max(axis=1).tolist()
         self.layout = layout = ObservationLayout(
             interface=interface,
             action_dims=game.action_dims,
             neighbours=tuple(map(tuple, self._in_slots(world.neighbours).T.tolist())),
             input_limit=world.input_limit,
             message_range=world.message_range,
-            deadline=clock.deadline,
+            deadline=world.clock.deadline,
             largest_weight=float(world.mode_weights.max()),
             largest_clock=(largest_t, largest_s, largest_theta, largest_dt),
         )
-        self.clock_table[1] /= layout.units[1]
         own = layout.own_components.T
-        self.gradient_rows = np.minimum(own, game.dimension - 1)
-        self.gradient_mask = (own < game.dimension)[:, :, None] if (own == game.dimension).any() else None
+        self._gradient_rows = np.minimum(own, game.dimension - 1)
+        self._gradient_mask = (own < game.dimension)[:, :, None] if (own == game.dimension).any() else None
+        self._order = world.order_components(layout.ego_order) if layout.is_scaled else None
+        # Rows of an (n N, B) array in ego order, in the order of the players' components.
+        self._player_rows = layout.ego_place.T * layout.num_players + np.arange(layout.num_players)
+        self._constant_weights = self._in_slots(world.mode_weights)  # where they are
+        self.parts = self._list_parts()
+        self._scale_of: tuple[State | None, FloatArray] = None, _NO_SCALE
         self._workspaces: dict[int, _Workspace] = {}
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles have no workspaces: their views of one buffer would become separate arrays."""
-        return {**self.__dict__, "_workspaces": {}}
+    def __reduce__(self) -> tuple[type[Encoder], tuple[World, Interface]]:
+        """Copies and pickles are made anew: views of one buffer would become arrays, and functions have no pickles."""
+        return Encoder, (self.world, self.layout.interface)
 
     def with_shared_tables(self) -> Encoder:
         """An encoder for other environments of the same world, with the same tables and workspaces."""
-        result = copy.copy(self)
-        result._workspaces = self._workspaces  # noqa: SLF001 - of the same class
+        result = Encoder.__new__(Encoder)
+        vars(result).update(vars(self))
         return result
 
     def observe(self, state: State, out: Float32Array | None = None) -> Float32Array:
@@ -106,20 +140,47 @@ class Encoder(ABC):
             state: the observed state.
             out: where to write, of that shape and C-contiguous; a new array if left out.
         """
-        batch, world = dynamics.batch_size(state), self.world
+        batch = dynamics.batch_size(state)
         workspace = self._workspaces.get(batch) or self._prepare(batch)
-        fields = workspace.fields
-        link_weights = None if world.has_constant_weights else dynamics.weights(world, state)
-        self._write_differences(workspace, state, link_weights)
-        if link_weights is not None:
-            fields["weights"][...] = self._in_slots(link_weights)
-        fields["clock_and_age"][...] = self.clock_table.take(dynamics.shared_step(state), axis=2)
-        if world.topology.is_random:
-            fields["time_since_switch"][...] = dynamics.time_since_switch(world, state)
+        view = self.look(self.world, state, workspace.differences)
+        self._scale_of = state, view.scale
+        for place, table in workspace.tables:
+            place[...] = table.take(dynamics.shared_step(state), axis=2)
+        for place, value in workspace.values:
+            place[...] = value(view)
         if out is None:
             out = np.empty((batch, self.layout.num_players, self.layout.size), dtype=np.float32)
-        np.copyto(out.reshape(batch, -1), fields["everything"])
+        np.copyto(out.reshape(batch, -1), workspace.everything)
         return out
+
+    def look(self, world: World, state: State, out: tuple[FloatArray, ...] = ()) -> View:
+        """The view of a state.
+
+        Args:
+            world: of the encoder, or its twin on JAX.
+            state: in that world.
+            out: where numpy writes the last three arrays of the view, which are parts of one; new ones if left out.
+        """
+        links: Any = None if world.has_constant_weights else dynamics.weights(world, state)
+        by_slot: Any = out[2].reshape(-1, *state.estimates.shape) if out else None
+        relative = dynamics.relative_estimates(world, state, links, order=self._order, out=by_slot)
+        if self._slot_order is not None:
+            relative = self._in_slots(relative.swapaxes(1, 2)).swapaxes(1, 2)
+        gradients, scale = self._own_gradients(state), _NO_SCALE
+        if out:
+            whole = out[0]
+            out[1][...] = gradients
+            if relative is not by_slot:
+                by_slot[...] = relative
+        else:
+            xp = array_namespace(relative)
+            whole = xp.concatenate([gradients, relative.reshape(-1, *gradients.shape[1:])])
+        if self._order is not None:
+            scale = _scale(whole)
+            whole *= 1 / scale
+        parts = out[1:] or (whole[: len(gradients)], whole[len(gradients) :])
+        weights = self._constant_weights if links is None else self._in_slots(links)
+        return View(world, self.layout, state, weights, scale, whole, *parts)
 
     def clip(self, actions: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.floating], IntArray]:
         """Clip actions of any number of environments, shape (B, N, action size), to the action box.
@@ -145,7 +206,17 @@ class Encoder(ABC):
         """
         inputs = np.empty(actions.shape[::-1])
         inputs[...] = actions.astype(np.float32, copy=False).T
-        return self._inputs_from_actions(inputs, state)
+        if self._order is None:
+            return inputs  # the action box is the input limit
+        observed, scale = self._scale_of
+        if observed is not state:
+            scale = self.look(self.world, state).scale
+            self._scale_of = state, scale
+        inputs *= INPUT_PER_ACTION * scale
+        inputs = inputs.reshape(-1, len(actions)).take(self._player_rows, axis=0)
+        limit = self.layout.input_limit
+        np.minimum(inputs, limit, out=inputs)  # np.clip does the same, but for one environment its wrapper costs more
+        return np.maximum(inputs, -limit, out=inputs)
 
     def decode(self, actions: npt.NDArray[np.floating], state: State) -> FloatArray:
         """:meth:`clip`, then :meth:`inputs`.
@@ -155,135 +226,76 @@ class Encoder(ABC):
         """
         return self.inputs(self.clip(actions)[0], state)
 
-    @abstractmethod
-    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
-        """Write own gradients, relative estimates and the slices that only this kind of interface has."""
-
-    @abstractmethod
-    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
-        """Inputs u (n, N, B) within the input limit, from actions (n, N, B), which may be overwritten."""
-
-    def _order_slots(self) -> IntArray | None:
-        """See :attr:`slot_order`."""
-        return None
-
     def _in_slots(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Values by the world's slots, shape (D, N, …), by the layout's slots."""
-        return values if self.slot_order is None else values[self.slot_order, np.arange(self.world.game.num_players)]
+        return values if self._slot_order is None else values[self._slot_order, np.arange(self.world.game.num_players)]
 
     def _own_gradients(self, state: State) -> FloatArray:
         """Own gradients per player, padded with 0, shape (m, N, B)."""
-        if self.gradient_mask is None and len(self.gradient_rows) == 1:
+        if self._gradient_mask is None and len(self._gradient_rows) == 1:
             return state.own_gradients[None]
-        gradients = state.own_gradients.take(self.gradient_rows, axis=0)
-        if self.gradient_mask is not None:
-            gradients *= self.gradient_mask
-        return gradients
+        gradients = state.own_gradients.take(self._gradient_rows, axis=0)
+        return gradients if self._gradient_mask is None else gradients * self._gradient_mask
+
+    def _list_parts(self) -> list[tuple[slice, Any]]:
+        """See :attr:`parts`."""
+        slices, absent = self.layout.slices, cast("Any", None)
+        state = State(np.arange(self.world.clock.total_steps + 1), self.world.game, *[absent] * 3)
+        view = View(self.world, self.layout, state, self._constant_weights, *[absent] * 4)
+        tables = {name: FIELDS[name].value(view) for name in slices if not FIELDS[name].follows_state(self.world)}
+
+        def group(name: str) -> Any:
+            return tables[name].shape[1:] if name in tables else name in _DIFFERENCES or name
+
+        def part(*names: str) -> tuple[slice, Any]:
+            where = slice(slices[names[0]].start, slices[names[-1]].stop)
+            if names[0] in tables:
+                return where, np.concatenate([tables[name] for name in names])
+            return where, attrgetter("differences") if names == _DIFFERENCES else FIELDS[names[0]].value
+
+        return [part(*names) for _, names in groupby(slices, group)]
 
     def _prepare(self, batch: int) -> _Workspace:
-        """The workspace of a batch size. Slices that never change are written here."""
-        layout, world = self.layout, self.world
-        slots, n, players = layout.slots, layout.dimension, layout.num_players
+        """The workspace of a batch size. Parts that never change are written here."""
+        players, size = self.layout.num_players, self.layout.size
         # Transposing rows whose length is a power of two uses the same few cache lines again and again; unused columns
         # avoid that.
         row = batch + _PADDING if batch > _PADDING else batch
-        buffer = np.zeros((players, layout.size, row), dtype=np.float32)
+        buffer = np.zeros((players, size, row), dtype=np.float32)
         columns = buffer.transpose(1, 0, 2)[:, :, :batch]
-        fields = {name: columns[part] for name, part in layout.slices.items()}
-        fields["gradient_and_relative_estimates"] = columns[: layout.slices["relative_estimates"].stop]
-        fields["relative_estimates"] = fields["relative_estimates"].reshape(slots, n, players, batch)
-        fields["clock_and_age"] = columns[layout.slices["clock"].start : layout.slices["time_since_switch"].stop]
-        fields["everything"] = buffer.reshape(-1, row)[:, :batch].T
-        fields["player"][...] = np.eye(players, dtype=np.float32)[:, :, None]
-        if world.has_constant_weights:
-            fields["weights"][...] = self._in_slots(world.mode_weights)
+        own = len(self._gradient_rows)
+        whole = np.empty((own + self.layout.slots * self.layout.dimension, players, batch))
+        workspace = _Workspace(buffer.reshape(-1, row)[:, :batch].T, [], [], (whole, whole[:own], whole[own:]))
+        for where, content in self.parts:
+            if callable(content):
+                workspace.values.append((columns[where], content))
+            elif content.shape[2] > 1:
+                workspace.tables.append((columns[where], content))
+            else:
+                columns[where] = content
         while len(self._workspaces) >= _WORKSPACES:
             self._workspaces.pop(next(iter(self._workspaces)))
-        scratch = np.empty((len(self.gradient_rows) + slots * n, players, batch))
-        relative = scratch[len(self.gradient_rows) :].reshape(slots, n, players, batch)
-        self._workspaces[batch] = workspace = _Workspace(fields, scratch, relative)
+        self._workspaces[batch] = workspace
         return workspace
 
 
-class PhysicalEncoder(Encoder):
-    """The interface ``physical``: natural units, player order, actions are inputs."""
-
-    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
-        fields, relative = workspace.fields, workspace.relative
-        fields["own_estimate"][...] = state.estimates
-        fields["own_gradient"][...] = self._own_gradients(state)
-        fields["relative_estimates"][...] = dynamics.relative_estimates(self.world, state, link_weights, out=relative)
-
-    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:  # noqa: ARG002 - the other kind needs it
-        return actions  # the action box is the input limit
+def _tabulate_clock(world: World) -> Float32Array:
+    """t/T, s, Θ_k and Δt_k/T in every step, shape (4, K+H+1)."""
+    clock = world.clock
+    return np.stack([clock.t / clock.deadline, clock.s, clock.theta, clock.dt / clock.deadline]).astype(np.float32)
 
 
-class FullEncoder(PhysicalEncoder):
-    """The interface ``full``: ``physical``, and information that players lack; for oracles."""
-
-    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
-        super()._write_differences(workspace, state, link_weights)
-        equilibria = state.game.nash_equilibria[:, None]
-        workspace.fields["relative_equilibrium"][...] = equilibria - state.estimates
+def _ego_slots(world: World) -> IntArray:
+    """The world's neighbour slot at each place of a player's ego order, shape (D, N); padded slots are last."""
+    players = world.game.num_players
+    distance = (world.neighbours - np.arange(players)) % players
+    return np.argsort(np.where(distance == 0, players, distance), axis=0, kind="stable")
 
 
-class ScaledEncoder(Encoder):
-    """The interface ``scaled``: differences and actions in units of σ_i, components and slots in ego order.
-
-    σ_i = max(‖own gradient‖_∞, max over live links ‖x^j − x^i‖_∞, 1e-30).
-    """
-
-    def __init__(self, world: World, interface: Interface) -> None:
-        super().__init__(world, interface)
-        self._order = world.order_components(self.layout.ego_order)
-        # Rows of an (n N, B) array in ego order, in the order of the players' components.
-        self._player_rows = self.layout.ego_place.T * self.layout.num_players + np.arange(self.layout.num_players)
-        self._scale_of: tuple[State, FloatArray] | None = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles forget the state that was observed last, and its scale."""
-        return {**super().__getstate__(), "_scale_of": None}
-
-    def _write_differences(self, workspace: _Workspace, state: State, link_weights: FloatArray | None) -> None:
-        differences, scale = self._differences(state, link_weights, workspace.scratch)
-        self._scale_of = (state, scale)
-        differences *= 1 / scale  # in float64, and cast in a second pass: faster than numpy's casting output
-        workspace.fields["gradient_and_relative_estimates"][...] = differences
-        workspace.fields["log_scale"][...] = np.log10(scale) / self.layout.units[0]
-
-    def _inputs_from_actions(self, actions: FloatArray, state: State) -> FloatArray:
-        if self._scale_of is None or self._scale_of[0] is not state:
-            self._scale_of = (state, self._differences(state)[1])
-        actions *= INPUT_PER_ACTION * self._scale_of[1]
-        inputs = actions.reshape(-1, dynamics.batch_size(state)).take(self._player_rows, axis=0)
-        limit = self.layout.input_limit
-        np.minimum(inputs, limit, out=inputs)  # np.clip does the same, but for one environment its wrapper costs more
-        return np.maximum(inputs, -limit, out=inputs)
-
-    def _differences(
-        self, state: State, link_weights: FloatArray | None = None, out: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Own gradients, then x^j − x^i in ego order, (m + D n, N, B), and the scale σ_i, (N, B)."""
-        layout, own, batch = self.layout, len(self.gradient_rows), dynamics.batch_size(state)
-        shape = layout.slots, layout.dimension, layout.num_players, batch
-        differences = np.empty((own + shape[0] * shape[1], *shape[2:])) if out is None else out
-        differences[:own] = self._own_gradients(state)
-        relative = differences[own:].reshape(shape)
-        dynamics.relative_estimates(self.world, state, link_weights, order=self._order, out=relative)
-        by_slot = relative.swapaxes(1, 2)
-        by_slot[...] = self._in_slots(by_slot)
+def _scale(differences: FloatArray) -> FloatArray:
+    """σ_i = max(‖own gradient‖_∞, max over live links ‖x^j − x^i‖_∞, 1e-30), shape (N, B)."""
+    if is_numpy(differences):
         scale = np.maximum.reduce(np.abs(differences), axis=0)
-        return differences, np.maximum(scale, SMALLEST_SCALE, out=scale)
-
-    def _order_slots(self) -> IntArray:
-        neighbours, players = self.world.neighbours, self.world.game.num_players
-        distance = (neighbours - np.arange(players)) % players
-        return np.argsort(np.where(distance == 0, players, distance), axis=0, kind="stable")  # padded slots are last
-
-
-_ENCODERS: Mapping[str, type[Encoder]] = {"scaled": ScaledEncoder, "physical": PhysicalEncoder, "full": FullEncoder}
-
-
-def make_encoder(world: World, interface: Interface) -> Encoder:
-    """The encoder of an interface's kind."""
-    return _ENCODERS[interface.kind](world, interface)
+        return np.maximum(scale, SMALLEST_SCALE, out=scale)
+    xp = array_namespace(differences)
+    return xp.maximum(xp.abs(differences).max(0), SMALLEST_SCALE)

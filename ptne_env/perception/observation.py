@@ -1,4 +1,4 @@
-"""Observations and actions: units, named slices, spaces, and how a policy reads and writes them.
+"""Observations and actions: interfaces, named slices, spaces, and how a policy reads and writes them.
 
 A layout is all that a policy knows about the world. An :class:`~ptne_env.perception.encoder.Encoder` connects it to a
 running one.
@@ -6,33 +6,22 @@ running one.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 
-from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray
-
-InterfaceKind: TypeAlias = Literal["scaled", "physical", "full"]
-
-OBSERVATION_BOUND = 1e6
-"""Box bound of every observed entry that carries units."""
-
-SMALLEST_SCALE = 1e-30
-"""Under ``scaled`` the scale σ_i is at least this, so that a player at rest divides by a positive number."""
+from ptne_env.perception.fields import FIELDS, LOG_SCALE_UNIT, InterfaceKind
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, array_namespace, is_numpy
+from ptne_env.shared.names import unknown_name
 
 INPUT_PER_ACTION = 5 / 3
 """Under ``scaled`` an action of 1 is an input of this many σ_i. A Gaussian policy that starts with a standard deviation
 of 1 then makes steps that are large enough to learn from, and small enough not to undo all progress."""
-
-LOG_SCALE_UNIT = 10.0
-"""Under ``scaled`` the logarithm of the scale is divided by this, so that it is of order one."""
-
-_READ_APART = frozenset(("clock", "player", "time_since_switch"))
-"""Slices of which :meth:`ObservationLayout.read` makes no float64 copy of their own."""
 
 
 class LayoutError(ValueError):
@@ -42,23 +31,58 @@ class LayoutError(ValueError):
     """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Interface:
     """What a policy observes, and what its actions mean. Every policy has one, the physics none.
 
     Attributes:
-        kind: ``"scaled"`` (scale-free numbers of order one, in ego order), ``"physical"`` (natural units, player order)
-            or ``"full"`` (``physical`` and information that players lack; for oracles only).
+        units: ``"scaled"`` (scale-free numbers of order one, in ego order) or ``"physical"`` (natural units, player
+            order). ``"full"`` stands for ``"physical"`` with information that players lack; it is for oracles only.
+        fields: names of the observed :data:`~ptne_env.perception.fields.FIELDS`, in their order; the default ones of
+            the units if left out.
 
     Raises:
-        ValueError: for another kind.
+        ValueError: for unknown units, or for a field that is unknown or not available in the units.
     """
 
-    kind: InterfaceKind = "scaled"
+    units: InterfaceKind = "scaled"
+    fields: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.kind not in get_args(InterfaceKind):
-            raise ValueError(f"unknown interface {self.kind!r}; choose from {', '.join(get_args(InterfaceKind))}")
+        if self.units not in get_args(InterfaceKind):
+            raise ValueError(f"unknown interface {self.units!r}; choose from {', '.join(get_args(InterfaceKind))}")
+        names = tuple(self.fields) or [name for name, field in FIELDS.items() if self.units in field.kinds]
+        units: tuple[InterfaceKind, ...] = ("scaled",) if self.units == "scaled" else ("physical", "full")
+        for name in names:
+            if name not in FIELDS:
+                raise ValueError(unknown_name("field of the observation", name, FIELDS))
+            if (kinds := FIELDS[name].kinds) and not set(kinds) & set(units):
+                raise ValueError(f"{units[0]!r} has no field {name!r}, which is one of {', '.join(map(repr, kinds))}")
+        object.__setattr__(self, "units", units[0])
+        object.__setattr__(self, "fields", tuple(name for name in FIELDS if name in names))
+
+    @property
+    def is_privileged(self) -> bool:
+        """Whether it shows information that players lack."""
+        return any(FIELDS[name].is_privileged for name in self.fields)
+
+    def to_dict(self) -> dict[str, Any]:
+        """A JSON object: the kind, and the fields where they are not those of the kind."""
+        kinds = [{"kind": kind} for kind in get_args(InterfaceKind) if self == Interface(kind)]
+        return kinds[0] if kinds else {"kind": self.units, "fields": list(self.fields)}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Interface:
+        """The inverse of :meth:`to_dict`.
+
+        Raises:
+            ValueError, TypeError, AttributeError: when the data are no interface.
+        """
+        return cls(**{"units" if key == "kind" else key: value for key, value in data.items()})
+
+    def __repr__(self) -> str:
+        kind, *fields = self.to_dict().values()
+        return f"Interface({kind!r}{f', fields={tuple(fields[0])}' if fields else ''})"
 
 
 class Observation(NamedTuple):
@@ -95,22 +119,8 @@ class Observation(NamedTuple):
 class ObservationLayout:
     """The layout of observations and actions that a policy is built for.
 
-    An observation is a flat float32 vector of named slices, in the order of :attr:`slices`:
-
-    ======================== ======== =======================================================================
-    name                     size     content
-    ======================== ======== =======================================================================
-    ``own_gradient``         m        ∂J_i/∂x_i(x^i), padded with 0 to the largest n_i
-    ``own_estimate``         n        x^i (not under ``scaled``)
-    ``relative_estimates``   D n      x^j − x^i per neighbour slot, taken in float64; 0 where the link is down; x^j is
-                                      what the channel delivers
-    ``weights``              D        a_ij per neighbour slot; 0 where the link is down, or the message is lost
-    ``log_scale``            1        log10 σ_i, over 10 (only under ``scaled``)
-    ``clock``                4        t/T, s, Θ_k, Δt_k/T
-    ``time_since_switch``    1        over the topology's mean dwell, clipped to 1; 0 for a fixed graph
-    ``player``               N        one-hot
-    ``relative_equilibrium`` n        x* − x^i (only under ``full``)
-    ======================== ======== =======================================================================
+    An observation is a flat float32 vector with a named slice per field of the interface, see :attr:`slices` and
+    ``docs/environment.md``.
 
     Under ``scaled``, gradient and relative estimates are divided by σ_i = max(‖own gradient‖_∞, max over live links
     ‖x^j − x^i‖_∞, 1e-30), components and neighbour slots are in ego order (the own ones first, then cyclically), s in
@@ -118,7 +128,7 @@ class ObservationLayout:
     same place means the same relation for every player.
 
     Attributes:
-        interface: units and order.
+        interface: observed fields, and their units and order.
         action_dims: n_i of each player.
         neighbours: per player, the player in each of its D slots; a padded slot holds the player itself. A player knows
             its own row alone, and evaluation tries it: its decisions may depend on no other.
@@ -156,18 +166,13 @@ class ObservationLayout:
     @cached_property
     def slices(self) -> dict[str, slice]:
         """The named parts of an observation, in order."""
-        n, slots, is_scaled = self.dimension, self.slots, self.interface.kind == "scaled"
-        sizes = {"own_gradient": max(self.action_dims)}
-        if not is_scaled:
-            sizes["own_estimate"] = n
-        sizes |= {"relative_estimates": slots * n, "weights": slots}
-        if is_scaled:
-            sizes["log_scale"] = 1
-        sizes |= {"clock": 4, "time_since_switch": 1, "player": self.num_players}
-        if self.interface.kind == "full":
-            sizes["relative_equilibrium"] = n
-        ends = np.cumsum(list(sizes.values()))
-        return {name: slice(int(end) - size, int(end)) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+        symbols = {"N": self.num_players, "n": self.dimension, "D": self.slots, "m": max(self.action_dims)}
+        slices, start = {}, 0
+        for name in self.interface.fields:
+            factors = FIELDS[name].size.split()
+            stop = start + math.prod(symbols[factor] if factor in symbols else int(factor) for factor in factors)
+            slices[name], start = slice(start, stop), stop
+        return slices
 
     @cached_property
     def size(self) -> int:
@@ -179,10 +184,15 @@ class ObservationLayout:
         """Length of an action, n."""
         return self.dimension
 
+    @cached_property
+    def time_units(self) -> FloatArray:
+        """The units of the four entries of the field ``clock``; that of s is its largest value under ``scaled``."""
+        return np.array([1.0, (self.largest_clock[1] or 1.0) if self.is_scaled else 1.0, 1.0, 1.0])
+
     @property
-    def units(self) -> tuple[float, float]:
-        """The units in which log10 σ_i and s are observed."""
-        return (LOG_SCALE_UNIT, self.largest_clock[1] or 1.0) if self.interface.kind == "scaled" else (1.0, 1.0)
+    def is_scaled(self) -> bool:
+        """Whether differences and actions are in units of σ_i, and in ego order."""
+        return self.interface.units == "scaled"
 
     @cached_property
     def action_bound(self) -> float:
@@ -190,27 +200,16 @@ class ObservationLayout:
 
         The limit is rounded down to a float32, so that no action within it exceeds it.
         """
-        if self.interface.kind == "scaled":
+        if self.is_scaled:
             return 1.0
         bound = np.float32(self.input_limit)
         return float(bound if float(bound) <= self.input_limit else np.nextafter(bound, np.float32(0)))
 
     def observation_space(self) -> spaces.Box:
         """A new Box for one player's observation, float32."""
-        low = np.full(self.size, -OBSERVATION_BOUND, dtype=np.float32)
-        high = np.full(self.size, OBSERVATION_BOUND, dtype=np.float32)
-        log_unit, s_unit = self.units
-        bounds: dict[str, tuple[npt.ArrayLike, npt.ArrayLike]] = {
-            "weights": (0.0, self.largest_weight),
-            "clock": (0.0, np.array(self.largest_clock) / [1.0, s_unit, 1.0, 1.0]),
-            "time_since_switch": (0.0, 1.0),
-            "player": (0.0, 1.0),
-        }
-        if self.interface.kind == "scaled":
-            bounds["own_gradient"] = bounds["relative_estimates"] = (-1.0, 1.0)
-            bounds["log_scale"] = (np.log10(SMALLEST_SCALE) / log_unit, np.log10(OBSERVATION_BOUND) / log_unit)
-        for name, (lowest, highest) in bounds.items():
-            low[self.slices[name]], high[self.slices[name]] = lowest, highest
+        low, high = np.empty((2, self.size), dtype=np.float32)
+        for name, part in self.slices.items():
+            low[part], high[part] = FIELDS[name].bounds(self)
         return spaces.Box(low, high, dtype=np.float32)
 
     def action_space(self) -> spaces.Box:
@@ -226,6 +225,11 @@ class ObservationLayout:
             result[player, :dim] = np.arange(offset, offset + dim)
             offset += dim
         return result
+
+    @cached_property
+    def own_places(self) -> BoolArray:
+        """Whether component c is at place p of player i's own block, shape (N, m, n)."""
+        return self.own_components[:, :, None] == np.arange(self.dimension)
 
     @cached_property
     def ego_order(self) -> IntArray:
@@ -251,57 +255,53 @@ class ObservationLayout:
         owners = np.repeat(np.arange(self.num_players), self.action_dims)
         return owners == np.arange(self.num_players)[:, None]
 
-    def select(self, observation: npt.NDArray[np.floating], name: str) -> npt.NDArray[np.floating]:
-        """The slice ``name`` of observations of shape (..., size), as a view.
+    def select(self, observation: Any, name: str) -> Any:
+        """The slice ``name`` of observations of shape (..., size), of numpy or JAX.
 
         Raises:
-            ValueError: when this layout has no such slice.
+            LayoutError: when this layout has no such slice.
         """
         if name not in self.slices:
-            raise ValueError(f"the {self.interface.kind!r} layout has no {name!r}; it has {', '.join(self.slices)}")
+            raise LayoutError(f"the layout of {self.interface} has no {name!r}; it has {', '.join(self.slices)}")
         return observation[..., self.slices[name]]
 
-    def read(self, observation: npt.NDArray[np.floating]) -> Observation:
-        """Read observations of R players, shape (R, size).
+    def read(self, observation: Any) -> Observation:
+        """Read observations of R players, shape (R, size), or of one player, shape (size,), of numpy or JAX.
 
         Raises:
-            ValueError: when the observations have another shape than this layout's.
+            ValueError: when the observations have another shape than this layout's, or lack a field that is read.
         """
-        if observation.ndim != 2 or observation.shape[1] != self.size:
+        if observation.shape[-1:] != (self.size,):
             raise ValueError(
-                f"this policy was built for observations of length {self.size} ({self.interface.kind!r} layout, "
-                f"{self.num_players} players, {self.slots} neighbour slots), got the shape {observation.shape}"
+                f"this policy was built for observations of length {self.size} ({self.interface}, {self.num_players} "
+                f"players, {self.slots} neighbour slots), got the shape {observation.shape}"
             )
-        rows = observation.shape[0]
-        clock, is_player = (observation[:, self.slices[name]] for name in ("clock", "player"))
-        values = {
-            name: np.asarray(observation[:, part], dtype=np.float64)
-            for name, part in self.slices.items()
-            if name not in _READ_APART
-        }
-        player = is_player.argmax(axis=1)
-        width = self.dimension + 1  # one column more, into which padding falls
-        own = np.zeros(rows * width)
-        own[self.own_components[player] + np.arange(0, rows * width, width)[:, None]] = values["own_gradient"]
-        relative = values["relative_estimates"].reshape(rows, self.slots, self.dimension)
-        unit = np.ones((rows, 1))
-        log_unit, s_unit = self.units
-        if self.interface.kind == "scaled":
-            relative = np.take_along_axis(relative, self.ego_place[player][:, None, :], axis=2)
-            unit = 10.0 ** (log_unit * values["log_scale"])
-        unseen = np.empty((rows, 0))
+        xp, rows = array_namespace(observation), observation.shape[:-1]
+
+        def part(name: str) -> Any:
+            return xp.asarray(self.select(observation, name), dtype=np.float64)
+
+        def optional(name: str) -> Any:
+            return part(name) if name in self.slices else xp.empty((*rows, 0))
+
+        is_player, clock = part("player"), part("clock")
+        relative, unit = part("relative_estimates").reshape(*rows, self.slots, self.dimension), xp.ones((*rows, 1))
+        if self.is_scaled:
+            places = row_of(self.ego_place, is_player).astype(np.int64)
+            relative = xp.take_along_axis(relative, places[..., None, :], axis=-1)
+            unit = 10.0 ** (LOG_SCALE_UNIT * part("log_scale"))
         return Observation(
-            player=player,
-            gradient=own.reshape(rows, width)[:, :-1],
+            player=is_player.argmax(-1),
+            gradient=xp.where(row_of(self.own_places, is_player), part("own_gradient")[..., None], 0.0).sum(-2),
             relative_estimates=relative,
-            weights=values["weights"],
+            weights=part("weights"),
             unit=unit,
-            theta=np.asarray(clock[:, 2:3], dtype=np.float64),
-            dt=np.asarray(clock[:, 3:4], dtype=np.float64) * self.deadline,
-            elapsed=np.asarray(clock[:, :1], dtype=np.float64),
-            transformed=s_unit * np.asarray(clock[:, 1:2], dtype=np.float64),
-            relative_equilibrium=values.get("relative_equilibrium", unseen),
-            own_estimate=values.get("own_estimate", unseen),
+            theta=clock[..., 2:3],
+            dt=clock[..., 3:4] * self.deadline,
+            elapsed=clock[..., :1],
+            transformed=clock[..., 1:2] * self.time_units[1],
+            relative_equilibrium=optional("relative_equilibrium"),
+            own_estimate=optional("own_estimate"),
         )
 
     def write(self, inputs: FloatArray, observation: Observation) -> Float32Array:
@@ -309,7 +309,15 @@ class ObservationLayout:
 
         Actions are clipped to the action box.
         """
-        if self.interface.kind == "scaled":
+        if self.is_scaled:
             ego = np.take_along_axis(inputs, self.ego_order[observation.player], axis=1)
             inputs = ego / INPUT_PER_ACTION
         return np.clip(inputs, -self.action_bound, self.action_bound).astype(np.float32)
+
+
+def row_of(table: Any, is_player: Any) -> Any:
+    """The rows of a table (N, ...) of players who are one-hot, (..., N). JAX multiplies: faster than a look-up."""
+    if is_numpy(is_player):
+        return table[is_player.argmax(-1)]
+    product = array_namespace(is_player).tensordot(is_player, table.astype(is_player.dtype), axes=1)
+    return product.astype(table.dtype)

@@ -10,7 +10,7 @@ import numpy as np
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.rollout import Member, rollout
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import World
@@ -109,7 +109,7 @@ def make_scene(
 
 
 def _trace_policy(world: World, start: State, spec: PolicySpec, teammates: Callable[[World], Member] | None) -> Trace:
-    encoder = make_encoder(world, spec.interface)
+    encoder = Encoder(world, spec.interface)
     owners = world.game.owners
     own = (np.arange(len(owners)), owners)
     estimates: list[FloatArray] = []

@@ -13,7 +13,7 @@ from ptne_env.envs.rendering import Renderer
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.rollout import rollout
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.report.page import Page, Section
 from ptne_env.report.traces import make_scene
 from ptne_env.shared.arrays import FloatArray, require_count
@@ -74,7 +74,7 @@ def _draw_pictures(
     world: World, spec: PolicySpec, start: State, count: int, progress: Callable[[int, int], None] | None
 ) -> Iterator[Any]:
     """Yield ``count`` pictures of an episode, uint8 arrays of shape (height, width, 3)."""
-    encoder = make_encoder(world, spec.interface)
+    encoder = Encoder(world, spec.interface)
     states: list[State] = []
 
     def keep(state: State, _: FloatArray | None) -> None:

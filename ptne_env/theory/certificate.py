@@ -13,7 +13,7 @@ import numpy as np
 
 from ptne_env.evaluation.policy_spec import PolicySpec, get_policy_spec
 from ptne_env.laws import Law, Static
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.theory.assumptions import AssumptionCheck, check_assumptions
@@ -149,7 +149,7 @@ def build_law(law: str | FactorySpec | PolicySpec | type[Law], world: World) -> 
         ValueError: when the law cannot act in the world, or the result is no law.
     """
     spec = _spec(law)
-    built = spec.build(make_encoder(world, spec.interface).layout)
+    built = spec.build(Encoder(world, spec.interface).layout)
     if not isinstance(built, Law):
         raise ValueError(f"{spec.name!r} is no law, but a {type(built).__name__}; only laws have certificates")
     return built
@@ -223,7 +223,7 @@ class _Prediction:
             yield f"an estimate or a gradient leaves ±{RANGE_LIMIT:g} on the way, where an episode ends"
         if peak > layout.input_limit:
             yield f"the start asks for |u| = {peak:.4g}, above the input limit, which the digits ignore"
-        if layout.interface.kind == "scaled":
+        if layout.is_scaled:
             yield "the law acts through 'scaled', whose actions have a box of their own, which the digits ignore"
         if reach > world.message_range:
             yield f"messages of up to {reach:.4g} leave the range of links; the digits ignore that they are clipped"

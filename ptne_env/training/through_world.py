@@ -113,7 +113,7 @@ class Lesson:
     def __init__(self, track: Track, settings: Settings, key: Any) -> None:
         self._settings = settings
         steps = math.ceil(track.scenario.steps / settings.action_repeat)
-        self.world = ptne_env.jax.world(track.scenario, interface="physical", pool=256, steps=steps)
+        self.world = ptne_env.jax.JaxWorld(track.scenario, interface="physical", pool=256, steps=steps)
         layout = self.world.layout
         self.envs = max(2, round(settings.cells / (layout.num_players * layout.dimension)))
         self.agent_steps = settings.window * self.envs * layout.num_players

@@ -9,7 +9,8 @@ has a lower reward, so divergence never pays.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -113,11 +114,21 @@ class Reward:
                 f"everywhere; choose {', '.join(others[:-1])} or {others[-1]}"
             )
         self._steps = world.clock.total_steps
-        self._terms = [(name, TERMS[name]) for name in weights]
-        self._gains = [(name, term) for name, term in self._terms if term.is_gain]
         self._values: dict[str, FloatArray] = {}
         self._was_diverged: BoolArray = np.zeros(0, dtype=np.bool_)
         self.distances = np.empty((0, 0))
+
+    @cached_property
+    def _terms(self) -> list[tuple[str, Term]]:
+        return [(name, TERMS[name]) for name in self.weights]
+
+    @cached_property
+    def _gains(self) -> list[tuple[str, Term]]:
+        return [(name, term) for name, term in self._terms if term.is_gain]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state without the terms, whose functions have no pickles."""
+        return {name: value for name, value in vars(self).items() if name not in ("_terms", "_gains")}
 
     def reset(self, state: State) -> None:
         """Measure ``state``, from which the next step is rewarded."""

@@ -161,7 +161,9 @@ def test_the_default_interface_is_scaled_and_full_is_refused(adapter):
     env = adapter.make()
     assert env.layout.interface == ptne_env.Interface("scaled")
     assert env.layout.action_space().high.max() == 1
-    with pytest.raises(ValueError, match="'full' shows information that players lack.*choose 'scaled' or 'physical'"):
+    with pytest.raises(
+        ValueError, match=r"'full'\) shows information that players lack.*choose 'scaled' or 'physical'"
+    ):
         adapter.make(interface="full")
 
 

@@ -11,7 +11,7 @@ import ptne_env
 from ptne_env import FactorySpec, Interface, PolicySpec, evaluate, laws
 from ptne_env.evaluation import COMPARED, POLICIES, get_policy_spec
 from ptne_env.learn import shipped_path
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.parts import is_part
 from ptne_env.world.world import World
 
@@ -116,12 +116,12 @@ def test_an_archive_acts_as_its_model_does_once_it_is_trusted(archive):
 
 
 def test_a_model_with_another_interface_is_refused_with_advice():
-    layout = make_encoder(World(BASE), Interface("physical")).layout
+    layout = Encoder(World(BASE), Interface("physical")).layout
     model = SimpleNamespace(
         observation_space=layout.observation_space(),
         predict=lambda rows, *_, **__: (np.zeros((len(rows), layout.action_size), np.float32), None),
     )
-    with pytest.raises(ValueError, match=r"shape \(28,\).*'scaled' has \(24,\).*PolicySpec\(name, model, "):
+    with pytest.raises(ValueError, match=r"shape \(28,\).*'scaled'\) has \(24,\).*PolicySpec\(name, model, "):
         evaluate(PolicySpec("mine", model), BASE, episodes=1)
     assert evaluate(PolicySpec("mine", model, Interface("physical")), BASE, episodes=1).samples
 

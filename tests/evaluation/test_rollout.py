@@ -10,7 +10,7 @@ from ptne_env import laws
 from ptne_env.evaluation.episodes import EpisodeSet, episode_seed
 from ptne_env.evaluation.metrics import measure, settling_time
 from ptne_env.evaluation.rollout import Rollout, rollout
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.observation import Interface
 from ptne_env.perception.policy import PolicyError
 from ptne_env.world import dynamics
@@ -19,7 +19,7 @@ from ptne_env.world.world import World
 
 def run(scenario, policy, interface=None, episodes=4, seed=3):
     world = World(scenario)
-    encoder = make_encoder(world, interface or Interface("physical"))
+    encoder = Encoder(world, interface or Interface("physical"))
     return world, rollout(policy(encoder.layout), encoder, EpisodeSet(episodes, seed).initial_state(world))
 
 
@@ -76,7 +76,7 @@ def test_mean_regret_is_the_mean_over_time_relative_to_the_start():
     assert (found["Grounded"]["mean_regret"] < found["Static"]["mean_regret"]).all()
     world, batch = run(scenario, laws.Static)
     states = []
-    encoder = make_encoder(world, Interface("physical"))
+    encoder = Encoder(world, Interface("physical"))
     start = EpisodeSet(4, 3).initial_state(world)
     rollout(laws.Static(encoder.layout), encoder, start, watch=lambda state, _: states.append(state))
     chosen = np.arange(21) ** 2  # of 400 steps

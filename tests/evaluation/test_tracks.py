@@ -12,13 +12,13 @@ from ptne_env import FactorySpec, Interface, Scenario, laws
 from ptne_env.evaluation import EpisodeSet, Teammates, Track, rollout
 from ptne_env.evaluation.rollout import Member
 from ptne_env.evaluation.tracks import compared_tracks
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.world.world import World
 
 
 def test_a_team_of_two_static_laws_is_the_static_law():
     world = World(BASE)
-    encoder = make_encoder(world, Interface("physical"))
+    encoder = Encoder(world, Interface("physical"))
     start = EpisodeSet(4).initial_state(world)
     alone = rollout(laws.Static(encoder.layout), encoder, start)
     team = rollout(laws.Static(encoder.layout), encoder, start, Member(laws.Static(encoder.layout), encoder, (1, 3)))
@@ -38,7 +38,7 @@ class Watching:
 
 def test_members_of_a_team_see_their_own_players_through_their_own_interface():
     world = World(BASE)
-    physical, local = make_encoder(world, Interface("physical")), make_encoder(world, Interface("scaled"))
+    physical, local = Encoder(world, Interface("physical")), Encoder(world, Interface("scaled"))
     one, other = Watching(physical.layout), Watching(local.layout)
     start = EpisodeSet(2).initial_state(world)
     rollout(one, physical, start, Member(other, local, (1, 3)))
@@ -50,7 +50,7 @@ def test_members_of_a_team_see_their_own_players_through_their_own_interface():
 
 def test_teammates_act_in_place_of_the_policy():
     world = World(BASE)
-    encoder = make_encoder(world, Interface("physical"))
+    encoder = Encoder(world, Interface("physical"))
     start = EpisodeSet(2).initial_state(world)
     zero, law = laws.ZeroInput(encoder.layout), laws.Static(encoder.layout)
     none, some, others = (

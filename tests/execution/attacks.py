@@ -14,7 +14,7 @@ from ptne_env.evaluation.audit import Witness, rows_of_one, with_links_of
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.laws import Law, ObserverRelay, ResidualCoder
 from ptne_env.laws.base import per_step
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.suites import get_suite
 from ptne_env.world import distances
 
@@ -160,7 +160,7 @@ def beginning(track, episodes, seed=0):
 
 def played(track, law, episodes, seed=0, *, audit=False):
     """Digits at T, and their mean over the second half of the steps, shape (2, B); an audit raises a PolicyError."""
-    encoder, witnesses = make_encoder(track.world, ObserverRelay.interface), []
+    encoder, witnesses = Encoder(track.world, ObserverRelay.interface), []
     if audit:
         player, rows = rows_of_one(episodes, encoder.layout.num_players)
         witnesses = [Witness(law(with_links_of(encoder.layout, player)), rows)]

@@ -42,7 +42,7 @@ def key(seed=0):
 
 @pytest.mark.parametrize("track", ["nominal", "curved", "uneven-box", "switching-transformed"])
 def test_own_draws_have_the_distribution_of_numpys(track):
-    world = ptne_env.jax.World(get_suite("ptne-v1").track(track).scenario, pool=400)
+    world = ptne_env.jax.JaxWorld(get_suite("ptne-v1").track(track).scenario, pool=400)
     streams = [RandomStreams.from_seed(seed) for seed in range(10_000, 10_300)]
     found, expected = (
         jax.jit(world.reset, static_argnums=1)(key(), 300),
@@ -61,12 +61,12 @@ def test_own_draws_have_the_distribution_of_numpys(track):
 
 
 def test_the_games_that_jax_draws_are_played_at_their_equilibria():
-    game = ptne_env.jax.world("random-energy").reset(key(), 50).game
+    game = ptne_env.jax.JaxWorld("random-energy").reset(key(), 50).game
     assert np.abs(game.pseudo_gradient(game.nash_equilibria)).max() < 1e-12
 
 
 def test_an_episode_is_the_same_in_a_batch_of_any_size_and_another_for_another_key():
-    world = ptne_env.jax.World(get_suite("ptne-v1").track("rough-links").scenario, pool=20)
+    world = ptne_env.jax.JaxWorld(get_suite("ptne-v1").track("rough-links").scenario, pool=20)
     alone, together, other = world.reset(key(), 1), world.reset(key(), 3), world.reset(key(1), 1)
     np.testing.assert_array_equal(alone.estimates, together.estimates[..., :1])
     np.testing.assert_array_equal(alone.received.messages, together.received.messages[..., :1])
@@ -74,12 +74,12 @@ def test_an_episode_is_the_same_in_a_batch_of_any_size_and_another_for_another_k
 
 
 def test_starts_that_numpy_alone_can_draw_come_from_a_pool():
-    state = ptne_env.jax.world("energy", start=NumpyStart(), pool=5).reset(key(), 100)
+    state = ptne_env.jax.JaxWorld("energy", start=NumpyStart(), pool=5).reset(key(), 100)
     assert len(np.unique(state.estimates[0, 1])) == 5
 
 
 def test_episodes_that_are_over_start_again_and_others_go_on():
-    world = ptne_env.jax.World(FAULTY.replace(steps=30, hold_steps=0), pool=4)
+    world = ptne_env.jax.JaxWorld(FAULTY.replace(steps=30, hold_steps=0), pool=4)
     state = jax.jit(world.reset, static_argnums=1)(key(), 4)
     state = state._replace(diverged=jnp.array([False, True, False, False]), step=state.step + 27)
     step = jax.jit(lambda state: world.restarted(key(), world.step(state, jnp.zeros_like(state.estimates))))
@@ -93,10 +93,10 @@ def test_episodes_that_are_over_start_again_and_others_go_on():
 
 
 def test_a_world_without_64_bit_numbers_says_what_to_set_and_sets_nothing():
-    world = ptne_env.jax.world("energy")
+    world = ptne_env.jax.JaxWorld("energy")
     first = key()
     jax.config.update("jax_enable_x64", val=False)
-    for call in (lambda: ptne_env.jax.world("energy"), lambda: world.reset(first)):
+    for call in (lambda: ptne_env.jax.JaxWorld("energy"), lambda: world.reset(first)):
         with pytest.raises(RuntimeError, match=r'jax.config.update\("jax_enable_x64", True\)'):
             call()
     assert not jax.config.jax_enable_x64
@@ -110,7 +110,7 @@ def test_jax_is_imported_by_ptne_env_jax_alone_and_its_settings_stay():
 
 
 def test_a_scenario_with_a_part_that_numpy_alone_can_compute_is_refused_by_name():
-    world = ptne_env.jax.world("energy", name="mine", disturbance=NumpyPush())
+    world = ptne_env.jax.JaxWorld("energy", name="mine", disturbance=NumpyPush())
     state = world.reset(key())
     with pytest.raises(ValueError, match=r"scenario 'mine' has a part .*test_environment.py"):
         world.step(state, state.estimates)

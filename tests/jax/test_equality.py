@@ -10,11 +10,12 @@ import jax
 import numpy as np
 import pytest
 from fuzz import a_scenario, no_warnings
-from worlds import FAULTY
+from worlds import DEGREE, FAULTY, OWN_COST, every_field, with_field
 
 import ptne_env.jax
 from ptne_env import CATALOGUE
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
+from ptne_env.perception.fields import FIELDS
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.suites import get_suite
 from ptne_env.world import dynamics
@@ -39,7 +40,7 @@ def close(found, expected, scale=1.0):
 def both(world, start, inputs, reward, options):
     """Estimates, rewards and observations of every step, by numpy, then by JAX."""
     state, twin = start, world.state(start)
-    encoder, payer, numpys = make_encoder(world.numpy, world.layout.interface), Reward(world.numpy, reward), []
+    encoder, payer, numpys = Encoder(world.numpy, world.layout.interface), Reward(world.numpy, reward), []
     payer.reset(state)
     for held in inputs:
         state = dynamics.step(world.numpy, state, held)
@@ -61,7 +62,7 @@ def every_term(game):
 
 
 def compare(scenario, interface, reward=None, size=0.3, options=None):
-    world = ptne_env.jax.World(scenario, interface=interface, pool=2)
+    world = ptne_env.jax.JaxWorld(scenario, interface=interface, pool=2)
     start = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
     shape = min(STEPS, world.numpy.clock.total_steps), *start.estimates.shape
     inputs = size * np.abs(start.own_gradients).mean() * np.random.default_rng(1).normal(size=shape)
@@ -97,12 +98,38 @@ def test_a_random_scenario_is_the_same_on_jax(seed):
                 continue
 
 
+def compare_field(scenario, name, interface):
+    """Compare the field in a state somewhere along the way of three episodes that are at different steps."""
+    world = ptne_env.jax.JaxWorld(scenario, interface=interface, pool=2)
+    start = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
+    state = dynamics.step(world.numpy, start, 0.1 * start.estimates)._replace(step=np.array([1, 7, 4]))
+    expected = world.layout.select(Encoder(world.numpy, interface).observe(state), name)
+    found = world.layout.select(world.observe(world.state(state)).transpose(2, 1, 0), name)
+    assert expected.size > 0
+    assert np.ptp(expected) > 0
+    np.testing.assert_allclose(found, expected, rtol=3e-7, atol=1e-7 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("scenario", ["faulty", "ptne-v1/uneven-box"])
+@pytest.mark.parametrize(("name", "interface"), every_field())
+def test_a_field_is_the_same_on_jax(name, interface, scenario):
+    if (name, scenario) == ("time_since_switch", "ptne-v1/uneven-box"):
+        scenario = "energy-switching"  # 0 in the other
+    compare_field(SCENARIOS[scenario], name, interface)
+
+
+@pytest.mark.parametrize("field", [DEGREE, OWN_COST], ids=lambda field: field.name)
+def test_a_new_field_is_the_same_on_jax(field, monkeypatch):
+    monkeypatch.setitem(FIELDS, field.name, field)
+    compare_field(FAULTY, field.name, with_field(field.name, "scaled"))
+
+
 @pytest.mark.parametrize("interface", ["physical", "scaled"])
 @pytest.mark.parametrize("name", ["ptne-v1/uneven-box", "ptne-v1/short-deadline"])
 def test_actions_become_the_same_inputs_on_jax(name, interface):
-    world = ptne_env.jax.World(SCENARIOS[name], interface=interface, pool=2)
+    world = ptne_env.jax.JaxWorld(SCENARIOS[name], interface=interface, pool=2)
     start = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
-    encoder, bound = make_encoder(world.numpy, world.layout.interface), world.layout.action_bound
+    encoder, bound = Encoder(world.numpy, world.layout.interface), world.layout.action_bound
     shape = 3, world.layout.num_players, world.layout.action_size
     actions = np.random.default_rng(2).uniform(-1.5 * bound, 1.5 * bound, shape)
     close(jax.jit(world.inputs)(world.state(start), actions.T), encoder.decode(actions, start))
@@ -115,7 +142,7 @@ def test_a_term_of_the_reward_is_the_same_on_jax_also_when_episodes_diverge(name
 
 
 def test_regret_is_refused_on_jax_where_it_is_on_numpy():
-    world = ptne_env.jax.world("non-quadratic")
+    world = ptne_env.jax.JaxWorld("non-quadratic")
     state = world.reset(jax.random.key(0))
     with pytest.raises(ValueError, match="best response"):
         world.rewards(state, state, "regret")

@@ -16,7 +16,7 @@ import ptne_env
 import ptne_env.jax
 from ptne_env import PolicySpec, laws
 from ptne_env.evaluation.rollout import rollout
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.observation import LayoutError
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.suites import get_suite
@@ -35,10 +35,10 @@ def start(world, count=3):
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("scenario", [SCENARIO, UNEVEN], ids=["energy", "uneven"])
 def test_a_law_has_the_digits_of_the_law_on_numpy(name, scenario):
-    world = ptne_env.jax.World(scenario, interface="physical", pool=3)
+    world = ptne_env.jax.JaxWorld(scenario, interface="physical", pool=3)
     state, policy = start(world), getattr(ptne_env.jax, name)(world.layout)
     found = jax.jit(lambda: ptne_env.jax.rollout(world, policy, world.state(state)))()
-    expected = rollout(LAWS[name](world.layout), make_encoder(world.numpy, world.layout.interface), state)
+    expected = rollout(LAWS[name](world.layout), Encoder(world.numpy, world.layout.interface), state)
     np.testing.assert_allclose(found.digits, -np.log10(expected["estimate_distance"][1:]), atol=1e-4)
     mean = expected["mean_digits"]
     np.testing.assert_allclose(found.rewards.sum(0).mean(0), mean[-1] - mean[0], atol=1e-4)
@@ -49,7 +49,7 @@ def test_a_policy_is_an_entry_of_a_comparison():
         return params["weight"] @ observation + memory, memory / 2
 
     layout = ptne_env.parallel_env(SCENARIO).layout
-    learned = ptne_env.jax.Policy(act, {"weight": np.zeros((layout.action_size, layout.size))}, memory=np.ones(5))
+    learned = ptne_env.jax.JaxPolicy(act, {"weight": np.zeros((layout.action_size, layout.size))}, memory=np.ones(5))
     twin = PolicySpec("twin", ptne_env.jax.static(ptne_env.parallel_env(SCENARIO, interface="physical").layout))
     results = ptne_env.evaluate([PolicySpec("learned", learned), twin, "static"], SCENARIO, episodes=2)
     assert not results.failures
@@ -58,7 +58,7 @@ def test_a_policy_is_an_entry_of_a_comparison():
 
 
 def test_a_memory_starts_afresh_where_an_episode_starts():
-    policy = ptne_env.jax.Policy(lambda params, observation, memory: (memory, memory + 1), memory=np.zeros(1))
+    policy = ptne_env.jax.JaxPolicy(lambda params, observation, memory: (memory, memory + 1), memory=np.zeros(1))
     rows, starts = np.zeros((3, 2), dtype=np.float32), np.array([False, True, False])
     _, memory = policy.predict(rows)
     actions, memory = policy.predict(rows, memory, starts)
@@ -68,15 +68,15 @@ def test_a_memory_starts_afresh_where_an_episode_starts():
 
 
 def test_a_policy_is_refused_by_a_world_that_it_was_not_made_for():
-    world = ptne_env.jax.world("energy", interface="physical")
+    world = ptne_env.jax.JaxWorld("energy", interface="physical")
     for policy in (
-        ptne_env.jax.Policy(None),
-        ptne_env.jax.static(ptne_env.jax.World(UNEVEN, interface="physical", pool=2).layout),
+        ptne_env.jax.JaxPolicy(None),
+        ptne_env.jax.static(ptne_env.jax.JaxWorld(UNEVEN, interface="physical", pool=2).layout),
     ):
         with pytest.raises(LayoutError, match="policy"):
             ptne_env.jax.rollout(world, policy, jax.random.key(0))
     with pytest.raises(LayoutError, match="interface='physical'"):
-        ptne_env.jax.static(ptne_env.jax.world("energy").layout)
+        ptne_env.jax.static(ptne_env.jax.JaxWorld("energy").layout)
 
 
 # Gradients ---------------------------------------------------------------------------------------------------------
@@ -93,13 +93,13 @@ def network(layout, width=2):
     def act(params, observation, memory):
         return params["out"] @ jnp.tanh(params["in"] @ observation), memory
 
-    return ptne_env.jax.Policy(act, params, interface=layout.interface)
+    return ptne_env.jax.JaxPolicy(act, params, interface=layout.interface)
 
 
 @pytest.mark.parametrize("steps", [20, 400])
 @pytest.mark.parametrize("make", [ptne_env.jax.static, network], ids=["static", "network"])
 def test_the_gradient_of_the_digits_is_that_of_finite_differences(make, steps):
-    world = ptne_env.jax.world(SCENARIO, interface="physical", dtype=jnp.float64)
+    world = ptne_env.jax.JaxWorld(SCENARIO, interface="physical", dtype=jnp.float64)
     state, policy = world.state(start(world, 2)), make(world.layout)
     flat, unflatten = jax.flatten_util.ravel_pytree(jax.tree.map(jnp.asarray, policy.params))
 
@@ -118,10 +118,10 @@ def test_the_gradient_of_the_digits_is_that_of_finite_differences(make, steps):
 @pytest.mark.parametrize("scenario", ["non-quadratic", "rate-control", "random-energy", "ptne-v1/curved"])
 def test_no_number_and_no_gradient_is_nan_where_games_diverge(scenario):
     found = get_suite("ptne-v1").track("curved").scenario if "/" in scenario else ptne_env.get_scenario(scenario)
-    world = ptne_env.jax.World(found.replace(input_limit=1e6), interface="physical", pool=4)
+    world = ptne_env.jax.JaxWorld(found.replace(input_limit=1e6), interface="physical", pool=4)
 
     def run(gain):
-        policy = ptne_env.jax.Policy(flee, gain, interface=world.layout.interface)
+        policy = ptne_env.jax.JaxPolicy(flee, gain, interface=world.layout.interface)
         played = ptne_env.jax.rollout(world, policy, state, steps=60, reward={"digits": 1.0, "payoff": 1.0})
         return (played.rewards.sum((0, 1)), played.digits.mean()), (played.state.diverged, played.state.estimates)
 
@@ -139,7 +139,7 @@ def test_no_number_and_no_gradient_is_nan_where_games_diverge(scenario):
 def test_the_gradient_passes_through_rounding_as_if_nothing_were_rounded():
     slopes = []
     for track in ("rounding", "liar"):
-        world = ptne_env.jax.World(get_suite("ptne-v1").track(track).scenario, pool=2)
+        world = ptne_env.jax.JaxWorld(get_suite("ptne-v1").track(track).scenario, pool=2)
         state = world.reset(jax.random.key(0), 2)
         received = lambda inputs, world=world, state=state: world.step(state, inputs).received.messages.sum()  # noqa: E731
         slopes.append(jax.jit(jax.grad(received))(jnp.ones_like(state.estimates)))

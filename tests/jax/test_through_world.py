@@ -11,7 +11,7 @@ import numpy as np
 
 import ptne_env.jax
 from ptne_env.learn import load, recurrent
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.suites import get_suite
 from ptne_env.training import through_world
@@ -27,9 +27,9 @@ UPWARDS = {name: np.full_like(each, name not in recurrent.GIVEN) for name, each 
 
 
 def test_the_network_is_the_same_in_numpy_and_jax():
-    world = ptne_env.jax.world(SCENARIO, interface="physical")
+    world = ptne_env.jax.JaxWorld(SCENARIO, interface="physical")
     layout, policy = world.layout, recurrent.RecurrentPolicy("mine", WEIGHTS, world.layout, {})
-    encoder = make_encoder(world.numpy, layout.interface)
+    encoder = Encoder(world.numpy, layout.interface)
     state = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
     player, memory = np.repeat(np.arange(5), 3), None
     memories = recurrent.initial_memory(WEIGHTS, layout, 15, jax.numpy)
@@ -109,7 +109,7 @@ def test_a_run_learns_and_goes_on_after_an_interruption(tmp_path):
     summary = through_world.train(SHORT, out, lambda *report: reports.append(report))
     assert [report[:2] for report in reports] == [(done, 4) for done in range(1, 5)]
     assert (summary.agent_steps, summary.resumed_at) == (4 * 5 * 10, 0)
-    policy = load(out / "policy.npz", ptne_env.jax.world(SCENARIO, interface="physical").layout)
+    policy = load(out / "policy.npz", ptne_env.jax.JaxWorld(SCENARIO, interface="physical").layout)
     assert policy.training["scenario"] == SHORT.scenario
     assert through_world.train(SHORT, out, lambda *_: pytest.fail("it trains")) == summary
     with pytest.raises(ValueError, match="holds another run: seed is 0 there and 1 here"):

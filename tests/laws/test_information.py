@@ -6,9 +6,10 @@ And relabelling the players permutes the results: no law prefers a player for it
 import numpy as np
 import pytest
 from affine_games import SOAK
-from worlds import energy_scenario, fixed_part, make_env, play, world_and_encoder
+from worlds import energy_scenario, every_field, fixed_part, make_env, play, world_and_encoder
 
 from ptne_env import FactorySpec, laws
+from ptne_env.perception.fields import FIELDS
 from ptne_env.shared.parts import PARTS, resolve
 from ptne_env.world import dynamics
 
@@ -84,6 +85,26 @@ def test_scrambling_hidden_information_changes_no_action(player, law, kind, mode
         strangers = [j for j in range(5) if j not in visible]
         assert not np.array_equal(observations[strangers], other_observations[strangers])
         state = dynamics.step(world, state, encoder.decode(actions[None], state))
+
+
+@pytest.mark.parametrize("modes", [[RING], MODES], ids=["fixed", "switching"])
+@pytest.mark.parametrize(
+    ("name", "interface"), [case for case in every_field() if not FIELDS[case.values[0]].is_privileged]
+)
+def test_scrambling_hidden_information_changes_no_field(name, interface, modes):
+    """Unless the field is privileged, that is."""
+    player, generator = 3, np.random.default_rng(3)
+    weights = generator.uniform(0.5, 1.5, (5, 5))
+    world, encoder = world_and_encoder(energy_scenario(CURVATURE, TARGET, topology_spec(modes, weights)), interface)
+    other, twin = world_and_encoder(scrambled_scenario(player, modes, weights, generator), interface)
+    for step in (0, 60, 130):
+        estimates, others = generator.uniform(-20, 20, (2, 5, 5, 1))
+        state = dynamics.initial_state(world, estimates)._replace(step=np.array([step]))
+        visible = [player, *world.neighbours[:, player][dynamics.weights(world, state)[:, player, 0] > 0]]
+        others[:, visible] = estimates[:, visible]
+        scrambled = dynamics.initial_state(other, others)._replace(step=state.step)
+        seen = encoder.layout.select(encoder.observe(state), name)[0, player]
+        assert np.array_equal(seen, twin.layout.select(twin.observe(scrambled), name)[0, player])
 
 
 @pytest.mark.parametrize(("law", "kind"), [case for case in CASES if case[0] != "residual-coder"])  # signs of places

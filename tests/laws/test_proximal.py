@@ -9,13 +9,13 @@ from worlds import channel_part, fixed_part
 
 from ptne_env import Interface, evaluate, get_scenario, laws
 from ptne_env.laws.building_blocks import own_gradient
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.world.world import World
 
 
 def played(world, steps=None, **arguments):
     """Estimates of an episode, (K+1, n, N)."""
-    encoder = make_encoder(world, laws.ProximalBestResponse.interface)
+    encoder = Encoder(world, laws.ProximalBestResponse.interface)
     return run(world, encoder, laws.ProximalBestResponse(encoder.layout, **arguments), loop_start(world), steps)[..., 0]
 
 
@@ -64,7 +64,7 @@ def test_players_with_several_components_solve_for_their_block():
 def test_large_games_identify_the_own_block_alone(monkeypatch):
     monkeypatch.setattr(own_gradient, "LARGEST_ROW", 1)
     world = World(get_scenario("energy", start="random"))
-    law = laws.ProximalBestResponse(make_encoder(world, Interface("physical")).layout)
+    law = laws.ProximalBestResponse(Encoder(world, Interface("physical")).layout)
     assert law.initial_memory(2).shape == (2, 1 + 1 + 5 + 1 + 1 + 1)
     states = played(world)
     errors = np.abs(states - world.game.nash_equilibrium[:, None]).max(axis=(1, 2))
@@ -94,9 +94,9 @@ def test_law_reaches_many_digits_and_does_not_diverge():
 
 def test_wrong_numbers_and_interfaces_are_named():
     world = World(get_scenario("energy"))
-    layout = make_encoder(world, Interface("physical")).layout
+    layout = Encoder(world, Interface("physical")).layout
     for name in ("step", "mixing", "spread"):
         with pytest.raises(ValueError, match=f"{name} must be"):
             laws.ProximalBestResponse(layout, **{name: 0.0})
     with pytest.raises(ValueError, match="reads own_estimate"):
-        laws.ProximalBestResponse(make_encoder(world, Interface("scaled")).layout)
+        laws.ProximalBestResponse(Encoder(world, Interface("scaled")).layout)

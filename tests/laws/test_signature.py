@@ -17,7 +17,7 @@ LAWS = [policy for policy in POLICIES if issubclass(policy, laws.Law)]
 
 
 def observe(law, scenario="energy", batch=3):
-    world, encoder = world_and_encoder(scenario, kind=law.interface.kind)
+    world, encoder = world_and_encoder(scenario, kind=law.interface)
     starts = [world.draw_estimates([RandomStreams.from_seed(b)])[..., 0] for b in range(batch)]
     noise = np.random.default_rng(0).normal(size=(*starts[0].shape, batch))
     state = dynamics.initial_state(world, np.stack(starts, -1) + noise)

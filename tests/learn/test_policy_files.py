@@ -45,7 +45,7 @@ def test_a_policy_acts_in_the_environment_of_its_layout(tmp_path, layout):
     [
         (
             {"interface": Interface("physical")},
-            r"interface: policy Interface\(kind='physical'\), environment Interface\(kind='scaled'\)",
+            r"interface: policy Interface\('physical'\), environment Interface\('scaled'\)",
         ),
         ({"action_dims": (1,) * 6}, "action_dims"),
         ({"slots": 3}, "slots: policy 3, environment 2"),

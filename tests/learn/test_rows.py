@@ -20,7 +20,7 @@ from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import POLICIES, get_policy_spec
 from ptne_env.learn import PolicyFileError
 from ptne_env.learn.sb3_archive import load_archive
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.observation import LayoutError
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.suites import get_suite
@@ -70,7 +70,7 @@ def test_every_policy_of_the_library_decides_rows_alike(name):
     spec = get_policy_spec(name)
     for world in WORLDS:
         try:
-            encoder = make_encoder(world, spec.interface)
+            encoder = Encoder(world, spec.interface)
             spec.build(encoder.layout)
         except LayoutError:
             continue

@@ -14,7 +14,7 @@ from paper.table import labelled_graphs, misfits
 from ptne_env import FactorySpec, get_scenario, laws
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.games import NonQuadraticGame
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
 from ptne_env.world.clock import Exponential
@@ -119,9 +119,9 @@ def test_erratum_2_the_environment_diverges_too():
         input_limit=1e9,
     )
     world = World(scenario)
-    law = laws.Adaptive(make_encoder(world, laws.Adaptive.interface).layout)
+    law = laws.Adaptive(Encoder(world, laws.Adaptive.interface).layout)
     played = rollout(
-        law, make_encoder(world, law.interface), dynamics.draw_initial_state(world, [RandomStreams.from_seed(0)])
+        law, Encoder(world, law.interface), dynamics.draw_initial_state(world, [RandomStreams.from_seed(0)])
     )
     assert math.sqrt(5) * played["estimate_distance"][4000, 0] == pytest.approx(680.9, rel=0.05)
 

@@ -12,7 +12,7 @@ import ptne_env
 from ptne_env import laws
 from ptne_env.evaluation import POLICIES, PolicySpec, Track
 from ptne_env.evaluation.episodes import track_seed
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.parts import foreign_targets
 from ptne_env.suites import Suite, find_scenario, get_suite, run_suite
 from ptne_env.suites.suite import SUITES, world_names
@@ -25,7 +25,7 @@ def test_every_track_of_ptne_v1_is_a_valid_world_of_the_library_with_a_sentence(
         assert track.change.endswith(".")
         assert "\n" not in track.change
         assert foreign_targets(track.to_dict()) == []
-        make_encoder(track.world, laws.Static.interface)
+        Encoder(track.world, laws.Static.interface)
 
 
 @pytest.mark.parametrize(("seed", "episode"), [(0, 0), (0, 199), (7, 3)])

@@ -15,7 +15,7 @@ from worlds import fixed_part, world_and_encoder
 from ptne_env import CATALOGUE, FactorySpec, Interface, get_scenario, laws, theory
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.evaluation.rollout import rollout
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.theory.closed_loop import sampled_loop
 from ptne_env.world import dynamics
@@ -32,7 +32,7 @@ def played_digits(scenario, law, seed):
         start = dynamics.draw_initial_state(world, [RandomStreams.from_seed(seed)])
     except ValueError:
         return math.nan
-    played = rollout(built, make_encoder(world, built.layout.interface), start)
+    played = rollout(built, Encoder(world, built.layout.interface), start)
     return float(digits(played["estimate_distance"][world.clock.steps, 0]))
 
 

@@ -7,7 +7,7 @@ from sample_laws import condition_on
 from worlds import fixed_part
 
 from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.parts import PARTS, resolve
 from ptne_env.world.graphs import from_edges
 from ptne_env.world.world import World
@@ -120,7 +120,7 @@ def test_the_routed_law_settles_where_its_condition_holds_and_shortens_longer_st
     found = condition_on(scenario, "law:routed-unknown", step=step)
     assert found.holds is holds
     world = World(scenario)
-    encoder = make_encoder(world, laws.RoutedUnknown.interface)
+    encoder = Encoder(world, laws.RoutedUnknown.interface)
     states = run(world, encoder, laws.RoutedUnknown(encoder.layout, step), loop_start(world, size=1.0))[..., 0]
     errors = np.linalg.norm(states - world.game.nash_equilibrium[:, None], axis=(1, 2))
     assert errors[-1] < 1e-3 * errors[20]

@@ -12,7 +12,7 @@ from scipy import stats
 from worlds import BLOCKS_SWITCHING, EVERY_FAULT, FAULTY, begin, channel_part, quantity
 
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.perception.encoder import make_encoder
+from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.observation import Interface
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
@@ -135,7 +135,7 @@ def test_zero_faults_are_the_perfect_channel():
     )
     for interface in ("physical", "scaled"):
         plain, faulty = (World(SWITCHING.replace(channel=channel)) for channel in ("perfect", none))
-        encoders = [make_encoder(world, Interface(interface)) for world in (plain, faulty)]
+        encoders = [Encoder(world, Interface(interface)) for world in (plain, faulty)]
         states = [begin(world, range(3)) for world in (plain, faulty)]
         for _ in range(40):
             observations = [encoder.observe(state) for encoder, state in zip(encoders, states, strict=True)]
@@ -162,8 +162,8 @@ def test_noise_comes_after_the_range_and_players_know_it():
     assert stats.kstest(noise.ravel() / 0.3, "norm").pvalue > FALSE_ALARM
     assert np.abs(state.received.messages).max() > 4.5
     for kind in ("physical", "scaled", "full"):
-        assert make_encoder(world, Interface(kind)).layout.message_range == 4.0
-        assert make_encoder(World(FIXED), Interface(kind)).layout.message_range == math.inf
+        assert Encoder(world, Interface(kind)).layout.message_range == 4.0
+        assert Encoder(World(FIXED), Interface(kind)).layout.message_range == math.inf
     assert World(FIXED).channel.is_perfect
 
 
@@ -306,7 +306,7 @@ def test_values_on_a_down_link_have_no_effect(name):
 @pytest.mark.parametrize("kind", ["physical", "scaled"])
 def test_observation_does_not_depend_on_players_without_a_link(kind):
     world = World(FAULTY.replace(disturbance=None))
-    encoder = make_encoder(world, Interface(kind))
+    encoder = Encoder(world, Interface(kind))
     generator = np.random.default_rng(0)
     states = [begin(world, [5])] * 2
     player = 0
