@@ -7,6 +7,8 @@ decay rate that the theory predicts for each, and the digits that the law reache
 Run it with: python examples/custom_game.py
 """
 
+from functools import cached_property
+
 import numpy as np
 from scipy.optimize import elementwise
 
@@ -22,12 +24,22 @@ class Fashion(Game):
     """J_i(x) = (x_i − b_i)² + sqrt(1 + (x_i − m_i)²) with m_i the mean of the others: taste and fashion.
 
     Arrays have environments last: strategies are (n, B), and so are gradients.
+
+    Attributes:
+        taste: b_i of each player.
     """
 
-    def __init__(self, tastes: tuple[float, ...] = (2.0, 4.0, 6.0, 8.0, 10.0)) -> None:
-        """The tastes b_i."""
-        super().__init__(action_dims=(1,) * len(tastes))
-        self.tastes = np.array(tastes)[:, None]
+    taste: tuple[float, ...] = (2.0, 4.0, 6.0, 8.0, 10.0)
+
+    @cached_property
+    def action_dims(self) -> tuple[int, ...]:
+        """One component per player."""
+        return (1,) * len(self.taste)
+
+    @cached_property
+    def tastes(self) -> Array:
+        """b_i, shape (n, 1)."""
+        return np.array(self.taste)[:, None]
 
     def costs(self, strategies: Array) -> Array:
         """Shape (n, B) to (N, B)."""

@@ -7,6 +7,7 @@ or, in the folder of this file: ptne compare --suite own_parts:suite --policy ow
 """
 
 from dataclasses import replace
+from functools import cached_property
 
 import networkx as nx
 import numpy as np
@@ -25,10 +26,19 @@ from ptne_env.world.channels import Channel, LinkRandomness, Memory, Messages
 class BeautyContest(AffineGame):
     """J_i(x) = ½ (x_i − r m_i − b_i)² with m_i the mean of the others: each player wants to be close to the others."""
 
-    def __init__(self, tastes: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0), conformity: float = 0.5) -> None:
-        """The players' own tastes b_i, and r."""
-        others = 1 - np.eye(len(tastes))
-        super().__init__(np.eye(len(tastes)) - conformity / (len(tastes) - 1) * others, -np.asarray(tastes))
+    tastes: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0)  # b_i
+    conformity: float = 0.5  # r
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        """A of F(x) = A x + b."""
+        players = len(self.tastes)
+        return np.eye(players) - self.conformity / (players - 1) * (1 - np.eye(players))
+
+    @cached_property
+    def offset(self) -> np.ndarray:
+        """The vector b of F(x) = A x + b."""
+        return -np.array(self.tastes)
 
 
 def wheel(players: int = 5) -> switching.SwitchingTopology:
@@ -41,9 +51,7 @@ class Clipped(Channel):
 
     is_random = False
 
-    def __init__(self, bound: float) -> None:
-        """The largest number that can be sent."""
-        self.bound = bound
+    bound: float
 
     def transmit(
         self,

@@ -1,9 +1,10 @@
 """Affine games by their matrix, random strongly monotone ones, and the loop that runs a law on them."""
 
 import os
+from functools import cached_property
 
 import numpy as np
-from sample_games import BlockGame, times
+from sample_games import AffineBlocks, times
 
 from ptne_env import FactorySpec, Scenario
 from ptne_env.world import dynamics
@@ -12,13 +13,19 @@ SOAK = bool(os.environ.get("PTNE_SOAK"))
 """Whether tests draw as many random cases as ``make soak`` asks for."""
 
 
-class AffineGame(BlockGame):
+class AffineGame(AffineBlocks):
     """F(x) = A x + q, one component per player; J_i = ½ A_ii x_i² + x_i (Σ_{j≠i} A_ij x_j + q_i)."""
 
-    def __init__(self, matrix, offset):
-        super().__init__((1,) * len(offset))
-        self.matrix = np.array(matrix, dtype=float)
-        self.offset = np.array(offset, dtype=float)
+    matrix: np.ndarray
+    offset: np.ndarray
+
+    def __post_init__(self):
+        vars(self).update(matrix=np.array(self.matrix, dtype=float), offset=np.array(self.offset, dtype=float))
+        super().__post_init__()
+
+    @cached_property
+    def action_dims(self):
+        return (1,) * len(self.offset)
 
     def best_response(self, strategies):
         return strategies - (times(self.matrix, strategies) + self.offset[:, None]) / np.diag(self.matrix)[:, None]

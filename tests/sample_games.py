@@ -1,5 +1,7 @@
 """Games for tests: unequal dimensions, numerical solution, no equilibrium, or a deliberate error."""
 
+from functools import cached_property
+
 import numpy as np
 
 from ptne_env.games import EnergyGame, Game, NoBestResponseError
@@ -16,22 +18,10 @@ def times(matrix, vectors):
     return ordered_sum(matrix[:, :, None] * vectors, axis=1)
 
 
-class BlockGame(Game):
+class AffineBlocks(Game):
     """J_i = ½ x_iᵀ A_ii x_i + x_iᵀ Σ_{j≠i} A_ij x_j + q_iᵀ x_i, so F(x) = A x + q; NE by the base class's solver."""
 
     is_affine = True
-
-    def __init__(self, action_dims=(2, 1, 3), seed=3):
-        super().__init__(tuple(action_dims))
-        generator = np.random.default_rng(seed)
-        n = self.dimension
-        matrix = generator.uniform(-0.3, 0.3, (n, n))
-        for player in range(self.num_players):
-            block = self.block(player)
-            square = generator.normal(size=(self.action_dims[player],) * 2)
-            matrix[block, block] = 2 * np.eye(self.action_dims[player]) + 0.1 * square @ square.T
-        self.matrix = matrix
-        self.offset = generator.uniform(-8, 8, n)
 
     def block(self, player):
         start = sum(self.action_dims[:player])
@@ -67,15 +57,46 @@ class BlockGame(Game):
         return response
 
 
+class BlockGame(AffineBlocks):
+    """Random A and q."""
+
+    action_dims: tuple = (2, 1, 3)
+    seed: int = 3
+
+    @cached_property
+    def matrix(self):
+        return self._numbers[0]
+
+    @cached_property
+    def offset(self):
+        return self._numbers[1]
+
+    @cached_property
+    def _numbers(self):
+        generator, n = np.random.default_rng(self.seed), self.dimension
+        matrix = generator.uniform(-0.3, 0.3, (n, n))
+        for player in range(self.num_players):
+            block = self.block(player)
+            square = generator.normal(size=(self.action_dims[player],) * 2)
+            matrix[block, block] = 2 * np.eye(self.action_dims[player]) + 0.1 * square @ square.T
+        return matrix, generator.uniform(-8, 8, n)
+
+
 class RestingGame(Game):
     """J_i = ½ ‖x_i − p_i‖²: the equilibrium is the point p."""
 
     is_affine = True
 
-    def __init__(self, point, players):
-        point = np.asarray(point, dtype=np.float64)
-        super().__init__((point.size - players + 1,) + (1,) * (players - 1))
-        self.point = point
+    point: np.ndarray
+    players: int
+
+    def __post_init__(self):
+        vars(self)["point"] = np.asarray(self.point)
+        super().__post_init__()
+
+    @cached_property
+    def action_dims(self):
+        return (self.point.size - self.players + 1,) + (1,) * (self.players - 1)
 
     def costs(self, strategies):
         squares = (strategies - self.point[:, None]) ** 2 / 2
@@ -94,9 +115,8 @@ class RestingGame(Game):
 class CubicGame(Game):
     """J_i = x_i³/3 + s x_i with F_i = x_i² + s: no equilibrium for s > 0."""
 
-    def __init__(self, shift=1.0):
-        super().__init__((1, 1))
-        self.shift = shift
+    shift: float = 1.0
+    action_dims = (1, 1)
 
     def costs(self, strategies):
         return strategies**3 / 3 + self.shift * strategies

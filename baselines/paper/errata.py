@@ -15,7 +15,7 @@ from paper.continuous import Run, exact_static, plain_timeline, simulate
 from paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, KAPPA, SMALL_GAMMA, Experiments
 from paper.table import labelled_graphs, misfits
 from ptne_env import FactorySpec, get_scenario
-from ptne_env.games import AffineGame, NonQuadraticGame
+from ptne_env.games import NonQuadraticGame, QuadraticGame
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.theory import (
     build_law,
@@ -176,7 +176,7 @@ def erratum_7(experiments: Experiments) -> Iterator[Claim]:
 
 def erratum_8(experiments: Experiments) -> Iterator[Claim]:  # noqa: ARG001 - it has a game of its own
     """Assumption 3 does not give an equilibrium."""
-    game = AffineGame([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 0.0])
+    game = QuadraticGame([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 0.0])
     report = check_game(game)
     points = np.random.default_rng(0).uniform(-1e3, 1e3, (2, 1000))
     total = game.pseudo_gradient(points).sum(axis=0)
@@ -326,7 +326,7 @@ def _misprinted_coupling(experiments: Experiments) -> Claim:
 
 def _missing_assumption() -> Claim:
     # Each J_i is strictly convex and radially unbounded in x_i, while F is not monotone.
-    game, graph, gains = AffineGame([[1.0, 2.0], [2.0, 1.0]], [0.0, 0.0]), path(2), [1.0, 10.0, 100.0, 1000.0]
+    game, graph, gains = QuadraticGame([[1.0, 2.0], [2.0, 1.0]], [0.0, 0.0]), path(2), [1.0, 10.0, 100.0, 1000.0]
     rates = [spectral_abscissa(closed_loop_matrix(game, graph, kappa)) for kappa in gains]
     epsilon = monotonicity_constants(game).epsilon
     satisfied = graph.is_connected and check_game(game).assumption_3_holds

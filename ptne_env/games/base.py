@@ -1,10 +1,12 @@
-"""Interface of games, and the solvers for their equilibria."""
+"""The interfaces of games and of families of games, and the solvers for equilibria."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -16,15 +18,15 @@ from ptne_env.shared.arrays import (
     FloatArray,
     IntArray,
     array_namespace,
-    frozen,
+    freeze,
     ordered_sum,
-    replaced,
+    replace_columns,
     require_count,
 )
 from ptne_env.shared.parts import Part
 
 RESIDUAL_TOLERANCE = 1e-10
-"""Largest ‖x* − Π(x* − F(x*))‖, relative to 1 + ‖x*‖, of a computed equilibrium."""
+"""The largest ‖x* − Π(x* − F(x*))‖ that a computed equilibrium may have, relative to 1 + ‖x*‖."""
 
 
 class NoBestResponseError(ValueError):
@@ -34,43 +36,74 @@ class NoBestResponseError(ValueError):
 class Game(Part, ABC):
     """N players, player i choosing a strategy x_i in R^{n_i}, or in a box, to minimise its cost J_i(x_i, x_{-i}).
 
+    A game defines ``action_dims``, and ``low`` and ``high`` where strategies are bounded, each as a field, a class
+    attribute or a cached property; and :meth:`costs` and :meth:`own_gradients`. A subclass that checks its fields in
+    ``__post_init__`` calls that of its base too.
+
     Arrays are float64 with environments last: a joint strategy of B environments has shape (n, B) with
     n = Σ n_i, and the estimates of all players have shape (n, N, B), where column i is player i's estimate x^i.
 
-    Args:
-        action_dims: n_i of each player, each at least 1.
-        low: smallest strategies, one number for all or (n,); ``None`` without lower bounds, −inf for single components
-            without.
-        high: largest strategies, likewise with +inf.
-
-    Attributes:
-        low, high: the box of all games, shape (n, 1) each and read-only, or both ``None``. The dynamics keep the real
-            strategies in it; estimates of others are not bounded.
+    A game is its own :class:`~ptne_env.games.GameFamily` with one member.
 
     Raises:
-        ValueError: when there are fewer than two players, a dimension is below 1, or the box is empty or of another
-            shape.
+        ValueError: when there are fewer than two players, a dimension is below 1, the box is empty or of another shape,
+            or the parameters of a batch disagree on the number of games.
     """
 
-    is_affine: bool = False
+    is_affine: ClassVar[bool] = False
     """Whether the pseudo-gradient F is affine, so that exact oracles apply."""
 
-    parameters: ClassVar[tuple[str, ...]] = ()
-    """Arguments and attributes with one column per game, on the last axis; none for a class of single games."""
+    parameters: ClassVar[Mapping[str, int]] = {}
+    """The fields that have one column per game, on a last axis, in a batch of games, and the number of their axes in a
+    single game; none for a class of single games. JAX differentiates and maps these fields alone."""
 
-    low: FloatArray | None
-    high: FloatArray | None
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.action_dims) < 2:
+            raise ValueError(f"a game needs at least 2 players, got action_dims={self.action_dims!r}")
+        for dim in self.action_dims:
+            require_count("each entry of action_dims", dim, 1)
+        _ = self.box
+        if self.is_batch:
+            columns = {name: freeze(getattr(self, name)) for name in self.parameters}
+            if len({columns[name].shape[axes:] for name, axes in self.parameters.items()}) > 1:
+                shapes = {name: array.shape for name, array in columns.items()}
+                raise ValueError(f"{type(self).__name__}: a batch of games has one column per game, got {shapes}")
+            vars(self).update(columns)
 
-    def __init__(
-        self,
-        action_dims: tuple[int, ...],
-        low: npt.ArrayLike | None = None,
-        high: npt.ArrayLike | None = None,
-    ) -> None:
-        if len(action_dims) < 2:
-            raise ValueError(f"a game needs at least 2 players, got action_dims={action_dims!r}")
-        self.action_dims = tuple(require_count("each entry of action_dims", dim, 1) for dim in action_dims)
-        self.low, self.high = _box(low, high, self.dimension)
+    @cached_property
+    def action_dims(self) -> tuple[int, ...]:
+        """The dimensions n_i ≥ 1 of the players."""
+        raise NotImplementedError(f"{type(self).__name__} defines no action_dims, the dimension of each player")
+
+    @cached_property
+    def low(self) -> npt.ArrayLike | None:
+        """The smallest strategies, one number for all or (n,), −inf where there is none; ``None`` without bounds."""
+        return None
+
+    @cached_property
+    def high(self) -> npt.ArrayLike | None:
+        """The largest strategies, likewise with +inf."""
+        return None
+
+    @cached_property
+    def box(self) -> tuple[FloatArray, FloatArray] | None:
+        """The bounds of strategies, (n, 1) each; ``None`` without.
+
+        The dynamics keep the real strategies in the box; estimates of others are not bounded.
+        """
+        if self.low is None and self.high is None:
+            return None
+        n, bounds = self.dimension, []
+        for side, free in ((self.low, -np.inf), (self.high, np.inf)):
+            bound = np.asarray(free if side is None else side, dtype=np.float64)
+            if bound.shape not in ((), (n,), (n, 1)):
+                raise ValueError(f"a bound has the shape {bound.shape}; give one number for all, or ({n},)")
+            bounds.append(freeze(np.broadcast_to(bound.reshape(-1, 1), (n, 1))))
+        low, high = bounds
+        if not np.all(low < high):  # NaN is refused too
+            raise ValueError(f"a box needs low < high in each of the {n} components, got {low!r} and {high!r}")
+        return low, high
 
     @property
     def num_players(self) -> int:
@@ -87,16 +120,14 @@ class Game(Part, ABC):
         """The player that owns each component, shape (n,)."""
         return np.repeat(np.arange(self.num_players), self.action_dims).astype(np.int64)
 
-    @property
+    @cached_property
     def has_bounds(self) -> bool:
         """Whether a box confines the strategies."""
-        return self.low is not None
+        return self.box is not None
 
     def project(self, strategies: FloatArray) -> FloatArray:
         """Π(x), the nearest strategies in the box: (n, B) to (n, B); the same array without a box."""
-        if self.low is None or self.high is None:
-            return strategies
-        return array_namespace(strategies).clip(strategies, self.low, self.high)
+        return strategies if self.box is None else array_namespace(strategies).clip(strategies, *self.box)
 
     @abstractmethod
     def costs(self, strategies: FloatArray) -> FloatArray:
@@ -140,9 +171,7 @@ class Game(Part, ABC):
     def natural_residual(self, strategies: FloatArray) -> FloatArray:
         """x − Π(x − F(x)), which is 0 exactly at equilibria of a convex game; F(x) without a box. (n, B) to (n, B)."""
         field = self.pseudo_gradient(strategies)
-        if self.low is None or self.high is None:
-            return field
-        return natural_map(strategies, field, self.low, self.high)
+        return field if self.box is None else natural_map(strategies, field, *self.box)
 
     def jacobian(self, strategies: FloatArray) -> FloatArray:
         """dF(x): (n, B) to (n, n, B), row = component of F; by central differences where no subclass knows it."""
@@ -165,30 +194,50 @@ class Game(Part, ABC):
             return False
         return True
 
+    @cached_property
+    def is_batch(self) -> bool:
+        """Whether this is a batch of games: its parameters have an axis for games."""
+        return any(np.ndim(getattr(self, name)) > axes for name, axes in self.parameters.items())
+
     @property
     def batch_size(self) -> int:
         """G, the number of games. One game serves any number of environments, G games serve G environments."""
-        return 1
+        return int(getattr(self, next(iter(self.parameters))).shape[-1]) if self.is_batch else 1
 
-    def merged(self, fresh: Game, mask: BoolArray) -> Game:
-        """The batch of games with those in ``mask`` (G,) replaced by those of ``fresh``, in order; a game by itself.
+    @property
+    def representative(self) -> Game:
+        """The game itself; see :class:`~ptne_env.games.GameFamily`."""
+        return self
+
+    def draw(self, generators: Sequence[np.random.Generator]) -> Game:  # noqa: ARG002 - nothing is drawn
+        """Return the game itself, for any number of environments; see :class:`~ptne_env.games.GameFamily`."""
+        return self
+
+    def merge(self, fresh: Game, mask: BoolArray) -> Game:
+        """Return the batch with the games in ``mask`` (G,) replaced, in order, by those of ``fresh``.
+
+        A single game can be merged with itself alone.
 
         Raises:
             TypeError: when ``fresh`` is another kind of game.
         """
         if fresh is self:
             return self
-        if not self.parameters or type(self) is not type(fresh) or self.action_dims != fresh.action_dims:
+        if not self.is_batch or type(self) is not type(fresh) or self.action_dims != fresh.action_dims:
             raise TypeError(
-                f"{type(self).__name__}.merged() needs a batch of such games of the same players, got "
+                f"{type(self).__name__}.merge() needs a batch of such games of the same players, got "
                 f"{type(fresh).__name__}"
             )
-        columns = {name: replaced(getattr(self, name), getattr(fresh, name), mask) for name in self.parameters}
-        return self._with(**columns)
+        return self.with_columns(
+            {name: replace_columns(getattr(self, name), getattr(fresh, name), mask) for name in self.parameters}
+        )
 
-    def _with(self, **parameters: FloatArray) -> Game:
-        """The batch of games with other parameters, which are given by name."""
-        return type(self)(**parameters)  # type: ignore[arg-type]  # of a subclass that names parameters
+    def with_columns(self, columns: Mapping[str, FloatArray]) -> Self:
+        """Return a batch with other values of the parameters, by name, without checking them."""
+        games = object.__new__(type(self))
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        vars(games).update(values | dict(columns), is_batch=True)
+        return games
 
     @cached_property
     def nash_equilibria(self) -> FloatArray:
@@ -203,18 +252,18 @@ class Game(Part, ABC):
     def held_at_equilibrium(self) -> BoolArray:
         """Whether a bound holds each component of x* against F; shape (n, G). All False without a box."""
         points = self.nash_equilibria
-        if self.low is None or self.high is None:
+        if self.box is None:
             return np.zeros(points.shape, dtype=np.bool_)
-        wanted = points - self.pseudo_gradient(points)
+        unbounded, (low, high) = points - self.pseudo_gradient(points), self.box
         slack = RESIDUAL_TOLERANCE * (1 + np.abs(points))  # a component at a bound with F = 0 is free
-        return np.asarray((wanted < self.low - slack) | (wanted > self.high + slack))
+        return np.asarray((unbounded < low - slack) | (unbounded > high + slack))
 
     @cached_property
     def equilibrium_scale(self) -> FloatArray:
         """‖x*‖ of every game, by which distances are relative; 1 where x* = 0. Shape (G,), read-only."""
         xp = array_namespace(self.nash_equilibria)
         norms = xp.sqrt(ordered_sum(self.nash_equilibria**2))
-        return frozen(xp.where(norms == 0, 1.0, norms))
+        return freeze(xp.where(norms == 0, 1.0, norms))
 
     @property
     def nash_equilibrium(self) -> FloatArray:
@@ -229,7 +278,7 @@ class Game(Part, ABC):
         return self.nash_equilibria[:, 0]
 
     def _verified(self, solution: FloatArray) -> FloatArray:
-        """Equilibria (n, G), read-only, or an error where a point is none."""
+        """Return the equilibria (n, G) read-only, or raise where a point is none."""
         points = np.asarray(solution, dtype=np.float64)
         residuals = np.linalg.norm(self.natural_residual(points), axis=0)
         if not np.all(residuals <= RESIDUAL_TOLERANCE * (1 + np.linalg.norm(points, axis=0))):
@@ -238,18 +287,19 @@ class Game(Part, ABC):
                 f"{'‖x − Π(x − F(x))‖' if self.has_bounds else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
                 "was found"
             )
-        return frozen(points)
+        return freeze(points)
 
     def _solve_nash_equilibria(self) -> FloatArray:
-        """A zero of F by ``scipy.optimize.root``, (n, 1), or the solution of the variational inequality on the box.
+        """Find a zero of F, (n, 1), with ``scipy.optimize.root``, or solve the variational inequality on the box.
 
         Games with a closed form, and batches without a box, override this.
         """
-        if self.low is not None and self.high is not None:
-            is_bounded = np.isfinite(self.low) & np.isfinite(self.high)
-            middle = (np.where(is_bounded, self.low, 0.0) + np.where(is_bounded, self.high, 0.0)) / 2
+        if self.box is not None:
+            low, high = self.box
+            is_bounded = np.isfinite(low) & np.isfinite(high)
+            middle = (np.where(is_bounded, low, 0.0) + np.where(is_bounded, high, 0.0)) / 2
             start = np.repeat(middle, self.batch_size, axis=1)
-            return solve_box(self.pseudo_gradient, self.jacobian, self.low, self.high, start)
+            return solve_box(self.pseudo_gradient, self.jacobian, low, high, start)
 
         def field(x: FloatArray) -> FloatArray:
             return self.pseudo_gradient(x[:, None])[:, 0]
@@ -266,19 +316,45 @@ class Game(Part, ABC):
         return point[:, None]
 
 
-def _box(
-    low: npt.ArrayLike | None, high: npt.ArrayLike | None, dimension: int
-) -> tuple[FloatArray, FloatArray] | tuple[None, None]:
-    """The bounds as (n, 1) arrays."""
-    if low is None and high is None:
-        return None, None
-    sides = []
-    for side, default in ((low, -np.inf), (high, np.inf)):
-        given = np.asarray(default if side is None else side, dtype=np.float64)
-        if given.shape not in ((), (dimension,), (dimension, 1)):
-            raise ValueError(f"a bound has the shape {given.shape}; give one number for all, or ({dimension},)")
-        sides.append(frozen(np.broadcast_to(given.reshape(-1, 1), (dimension, 1))))
-    lows, highs = sides
-    if not np.all(lows < highs):  # NaN is refused too
-        raise ValueError(f"a box needs low < high in each of the {dimension} components, got {lows!r} and {highs!r}")
-    return lows, highs
+class GameFamily(Part, ABC):
+    """A distribution of games with the same players and dimensions."""
+
+    @property
+    def is_strongly_monotone(self) -> bool | None:
+        """Whether Assumption 4 holds for all members by construction, or is given up.
+
+        ``None`` where a world checks it for every draw, which must then be affine.
+        """
+        return None
+
+    @cached_property
+    def representative(self) -> Game:
+        """A typical member, with the players and dimensions of all."""
+        return self.draw([np.random.default_rng(0)])
+
+    @abstractmethod
+    def draw(self, generators: Sequence[np.random.Generator]) -> Game:
+        """Draw one game per generator, as a batch of G = ``len(generators)`` games."""
+
+
+def require_strong_monotonicity(game: Game) -> None:
+    """Check Assumption 4 on every game of a batch with affine F, whose Jacobian is the same everywhere.
+
+    Raises:
+        ValueError: naming the first game whose dF has no positive definite symmetric part.
+    """
+    if not game.is_affine:
+        raise ValueError(
+            f"strong monotonicity of {type(game).__name__} cannot be decided: F is not affine; a family of such games "
+            "declares is_strongly_monotone"
+        )
+    known = game.jacobian(np.zeros((game.dimension, game.batch_size)))
+    symmetric = np.moveaxis(known + known.transpose(1, 0, 2), 2, 0) / 2
+    try:
+        np.linalg.cholesky(symmetric)
+    except np.linalg.LinAlgError:
+        smallest = np.linalg.eigvalsh(symmetric)[:, 0]
+        raise ValueError(
+            f"game {int(smallest.argmin())} of the batch is not strongly monotone: ε = {smallest.min():.3g}; a family "
+            "of such games declares is_strongly_monotone = False"
+        ) from None

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.games.affine import AffineGame
-from ptne_env.games.base import Game
-from ptne_env.games.family import GameFamily, SingleGame
+from ptne_env.games.affine import QuadraticGame
+from ptne_env.games.base import Game, GameFamily
 from ptne_env.shared.arrays import ordered_sum, require_count
+from ptne_env.shared.parts import checked
 
 _TIGHTNESS = -0.1, 0.3
 """The range of t_l."""
 
 
-def priced(game: Game, constraint: npt.ArrayLike, limit: npt.ArrayLike) -> AffineGame:
-    """``game`` with the shared constraint C x ≤ b and one player more: the market operator, which prices it.
+def price_constraint(game: Game, constraint: npt.ArrayLike, limit: npt.ArrayLike) -> QuadraticGame:
+    """Put the players of a game under the constraint C x ≤ b, and add a market operator, who prices it.
 
     Player i pays for its share of the constraint, J_i(x) + μᵀ C_i x_i. The operator, the last player, chooses the
     prices μ ≥ 0 and minimises μᵀ (b − C x). The Nash equilibria (x*, μ*) of this game are the solutions of
@@ -58,22 +58,19 @@ def priced(game: Game, constraint: npt.ArrayLike, limit: npt.ArrayLike) -> Affin
     matrix[:n, :n] = game.jacobian(origin)
     matrix[:n, n:], matrix[n:, :n] = rows.transpose(1, 0, 2), -rows
     offset = np.concatenate([game.pseudo_gradient(origin), np.broadcast_to(limits, (lines, games))])
-    low, high = (
-        np.full((n, 1), free) if bound is None else bound for bound, free in ((game.low, -np.inf), (game.high, np.inf))
-    )
-    low = np.concatenate([low, np.zeros((lines, low.shape[1]))])
-    high = np.concatenate([high, np.full((lines, high.shape[1]), np.inf)])
-    return AffineGame(matrix, offset, (*game.action_dims, lines), low, high)
+    low, high = game.box or (np.full((n, 1), -np.inf), np.full((n, 1), np.inf))
+    low, high = np.append(low, np.zeros(lines)), np.append(high, np.full(lines, np.inf))
+    return QuadraticGame(matrix, offset, (*game.action_dims, lines), low, high)
 
 
 class CoupledConstraint(GameFamily):
-    """The games of another family with m random shared constraints C x ≤ b, priced by an operator (:func:`priced`).
+    """The games of another family under m random shared constraints C x ≤ b; see :func:`price_constraint`.
 
     C_lk ~ U(0, 1) is the load of strategy k on line l, and b_l = C_l x° − t_l ‖C_l‖ ‖x°‖ with x° the equilibrium
     without constraints and t_l ~ U(−0.1, 0.3): the distance of x° from the half-space, relative to ‖x°‖. So line l
     alone is active at the equilibrium where t_l > 0, three of four.
 
-    Args:
+    Attributes:
         game: an affine game or a family of affine games, without bounds.
         lines: m ≥ 1.
 
@@ -83,19 +80,21 @@ class CoupledConstraint(GameFamily):
 
     is_strongly_monotone = False
 
-    def __init__(self, game: Game | GameFamily, lines: int = 2) -> None:
-        self._family = SingleGame(game) if isinstance(game, Game) else game
-        if self._family.representative.has_bounds:
+    game: Game | GameFamily
+    lines: int = checked(require_count, 1, default=2)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.game.representative.has_bounds:
             raise ValueError("CoupledConstraint needs a game without bounds, which need not agree with the constraint")
-        self.lines = require_count("lines", lines, 1)
-        self.representative = self.draw([np.random.default_rng(0)])
+        _ = self.representative  # refuses a game that is not affine
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
-        """One priced game per generator."""
-        game = self._family.draw(generators)
+        """Draw one priced game per generator."""
+        game = self.game.draw(generators)
         unit = np.stack([generator.random((self.lines, game.dimension + 1)) for generator in generators], axis=-1)
         loads, (low, high) = unit[:, :-1], _TIGHTNESS
         free = np.broadcast_to(game.nash_equilibria, (game.dimension, len(generators)))
         shift = np.sqrt(ordered_sum(loads**2, axis=1) * ordered_sum(free**2))
         limits = ordered_sum(loads * free, axis=1) - (low + (high - low) * unit[:, -1]) * shift
-        return priced(game, loads, limits)
+        return price_constraint(game, loads, limits)

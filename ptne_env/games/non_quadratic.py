@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -20,19 +21,25 @@ class NonQuadraticGame(Game):
     Lipschitz, and J2 has no minimiser in x2 where x4 ≥ 0 (it is unbounded below where x4 > 0), so there is no best
     response.
 
-    Args:
+    Attributes:
         variant: ``"corrected"`` or ``"printed"``.
 
     Raises:
         ValueError: for another variant.
     """
 
-    def __init__(self, variant: Literal["printed", "corrected"] = "corrected") -> None:
-        super().__init__((1,) * 5)
-        if variant not in _SLOPE_OF_FOURTH:
-            raise ValueError(f"variant must be 'printed' or 'corrected', got {variant!r}")
-        self.variant = variant
-        self._slope = _SLOPE_OF_FOURTH[variant]
+    variant: Literal["printed", "corrected"] = "corrected"
+    action_dims = (1,) * 5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.variant not in _SLOPE_OF_FOURTH:
+            raise ValueError(f"variant must be 'printed' or 'corrected', got {self.variant!r}")
+
+    @cached_property
+    def _slope(self) -> float:
+        """The number w."""
+        return _SLOPE_OF_FOURTH[self.variant]
 
     def costs(self, strategies: FloatArray) -> FloatArray:
         """J_i(x): (5, B) to (5, B)."""

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.games.affine import AffineGame, times
-from ptne_env.games.base import Game
-from ptne_env.games.family import GameFamily, require_strong_monotonicity
-from ptne_env.games.random_affine import RandomAffine
+from ptne_env.games.affine import AffineGame, RandomAffine, times
+from ptne_env.games.base import Game, GameFamily, require_strong_monotonicity
 from ptne_env.games.variational import solve_box
-from ptne_env.shared.arrays import FloatArray, array_namespace, frozen, ordered_sum, require_non_negative
+from ptne_env.shared.arrays import FloatArray, array_namespace, freeze, ordered_sum, require_non_negative, with_games
+from ptne_env.shared.parts import checked
 
 
 class SaturatingGame(AffineGame):
@@ -24,7 +23,7 @@ class SaturatingGame(AffineGame):
     A + Mᵀ diag(1/cosh²(M x − r)) M, so F is strongly monotone and Lipschitz wherever A is positive definite, with
     ε ≥ ε(A) and ι ≤ ‖A‖ + ‖M‖². The game is given by its equilibrium x*, which is therefore exact.
 
-    Args:
+    Attributes:
         matrix: A, (n, n) or (n, n, G), as in :class:`AffineGame`.
         prices: M, (m, n) or (m, n, G).
         shift: r, (m,) or (m, G).
@@ -36,53 +35,68 @@ class SaturatingGame(AffineGame):
     """
 
     is_affine = False
-    parameters: ClassVar[tuple[str, ...]] = ("matrix", "prices", "shift", "equilibrium")
+    parameters: ClassVar[Mapping[str, int]] = {"matrix": 2, "prices": 2, "shift": 1, "equilibrium": 1}
 
-    def __init__(
-        self,
-        matrix: npt.ArrayLike,
-        prices: npt.ArrayLike,
-        shift: npt.ArrayLike,
-        equilibrium: npt.ArrayLike,
-        action_dims: Sequence[int] | None = None,
-    ) -> None:
-        known = np.asarray(equilibrium, dtype=np.float64)
-        super().__init__(matrix, known, action_dims)
-        rows, shifts = np.asarray(prices, dtype=np.float64), np.asarray(shift, dtype=np.float64)
-        rows, shifts = rows.reshape(*rows.shape[:2], -1), shifts.reshape(len(shifts), -1)
-        if rows.shape != (len(rows), self.dimension, self.batch_size) or shifts.shape != (len(rows), self.batch_size):
+    matrix: npt.ArrayLike
+    prices: npt.ArrayLike
+    shift: npt.ArrayLike
+    equilibrium: npt.ArrayLike
+    action_dims: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        vars(self)["action_dims"] = self.action_dims or (1,) * len(self.equilibria)
+        lines, games = len(self.shifts), self.equilibria.shape[-1]
+        if self.all_prices.shape != (lines, self.dimension, games) or self.shifts.shape != (lines, games):
             raise ValueError(
                 f"SaturatingGame: prices are (m, {self.dimension}) and shift (m,), with a last axis for games where "
-                f"there are several; got {np.shape(prices)} and {np.shape(shift)}"
+                f"there are several; got {np.shape(self.prices)} and {np.shape(self.shift)}"
             )
-        self.prices, self.shift = frozen(rows), frozen(shifts)
-        self.equilibrium = self.offset
-        self.offset = frozen(-times(self.matrix, self.equilibrium) - self._pull(self.equilibrium))
+        super().__post_init__()
+
+    @cached_property
+    def all_prices(self) -> FloatArray:
+        """M of every game, shape (m, n, G), read-only."""
+        return with_games(self.prices, 2)
+
+    @cached_property
+    def shifts(self) -> FloatArray:
+        """The vector r of every game, shape (m, G), read-only."""
+        return with_games(self.shift, 1)
+
+    @cached_property
+    def equilibria(self) -> FloatArray:
+        """x* of every game, shape (n, G), read-only."""
+        return with_games(self.equilibrium, 1)
+
+    @cached_property
+    def offset(self) -> FloatArray:
+        """The vector b = −A x* − Mᵀ tanh(M x* − r), shape (n, G), read-only."""
+        return freeze(-times(self.matrices, self.equilibria) - self._pull(self.equilibria))
 
     @cached_property
     def _transposed_prices(self) -> FloatArray:
-        return frozen(self.prices.transpose(1, 0, 2))
+        return freeze(self.all_prices.transpose(1, 0, 2))
 
     def _pull(self, strategies: FloatArray) -> FloatArray:
         """Mᵀ tanh(M x − r): (n, B) to (n, B)."""
         xp = array_namespace(strategies)
-        return times(self._transposed_prices, xp.tanh(times(self.prices, strategies) - self.shift))
+        return times(self._transposed_prices, xp.tanh(times(self.all_prices, strategies) - self.shifts))
 
     def costs(self, strategies: FloatArray) -> FloatArray:
         """J_i(x): (n, B) to (N, B)."""
-        load = times(self.prices, strategies) - self.shift
+        load = times(self.all_prices, strategies) - self.shifts
         return super().costs(strategies) + ordered_sum(array_namespace(load).logaddexp(load, -load) - np.log(2))
 
     def own_gradients(self, estimates: FloatArray) -> FloatArray:
         """Block i is that of F at x^i: (n, N, B) to (n, B)."""
-        load = ordered_sum(self.prices[:, :, None] * estimates[None], axis=1) - self.shift[:, None]
+        load = ordered_sum(self.all_prices[:, :, None] * estimates[None], axis=1) - self.shifts[:, None]
         shares = self._transposed_prices * array_namespace(load).tanh(load)[:, self.owners].transpose(1, 0, 2)
         return super().own_gradients(estimates) + ordered_sum(shares, axis=1)
 
     def jacobian(self, strategies: FloatArray) -> FloatArray:
         """A + Mᵀ diag(1/cosh²(M x − r)) M: (n, B) to (n, n, B)."""
-        slope = 1 - np.tanh(times(self.prices, strategies) - self.shift) ** 2
-        bent = ordered_sum(self.prices[:, :, None] * (slope[:, None] * self.prices)[:, None], axis=0)
+        slope = 1 - np.tanh(times(self.all_prices, strategies) - self.shifts) ** 2
+        bent = ordered_sum(self.all_prices[:, :, None] * (slope[:, None] * self.all_prices)[:, None], axis=0)
         return super().jacobian(strategies) + bent
 
     def best_response(self, strategies: FloatArray) -> FloatArray:
@@ -106,11 +120,8 @@ class SaturatingGame(AffineGame):
         low, high = (np.full((self.dimension, batch), bound) for bound in (-np.inf, np.inf))
         return solve_box(field, slopes, low, high, strategies)
 
-    def _with(self, **parameters: FloatArray) -> Game:
-        return type(self)(**parameters, action_dims=self.action_dims)
-
     def _solve_nash_equilibria(self) -> FloatArray:
-        return self.equilibrium
+        return self.equilibria
 
 
 class RandomSaturating(GameFamily):
@@ -120,8 +131,8 @@ class RandomSaturating(GameFamily):
     where all prices are saturated; r = M x* + U(−2, 2), so prices near x* are neither linear nor constant. F is
     strongly monotone with the ε of the affine game.
 
-    Args:
-        affine: the family, without bounds; ``RandomAffine()`` if left out.
+    Attributes:
+        affine: the family, without bounds.
         bend: c ≥ 0; 0 gives affine games.
 
     Raises:
@@ -130,19 +141,21 @@ class RandomSaturating(GameFamily):
 
     is_strongly_monotone = True
 
-    def __init__(self, affine: GameFamily | None = None, bend: float = 3.0) -> None:
-        self._affine, self.bend = affine or RandomAffine(), require_non_negative("bend", bend)
-        typical = self._affine.representative
-        if not typical.is_affine or typical.has_bounds or self._affine.is_strongly_monotone is False:
+    affine: GameFamily = RandomAffine()
+    bend: float = checked(require_non_negative, default=3.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        typical = self.affine.representative
+        if not typical.is_affine or typical.has_bounds or self.affine.is_strongly_monotone is False:
             raise ValueError(
                 "RandomSaturating needs a family of affine games without bounds that are strongly monotone, such as "
-                f"RandomAffine(), got {type(self._affine).__name__}"
+                f"RandomAffine(), got {type(self.affine).__name__}"
             )
-        self.representative = self.draw([np.random.default_rng(0)])
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
-        """One game per generator."""
-        affine = self._affine.draw(generators)
+        """Draw one game per generator."""
+        affine = self.affine.draw(generators)
         require_strong_monotonicity(affine)
         n, equilibria = affine.dimension, affine.nash_equilibria
         prices = np.stack([generator.normal(size=(n, n)) for generator in generators], axis=-1)

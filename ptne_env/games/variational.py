@@ -13,7 +13,7 @@ Field = Callable[[FloatArray], FloatArray]
 TOLERANCE = 1e-12
 """‖x − Π(x − F(x))‖, relative to 1 + ‖x‖, at which the solver stops."""
 MOST_STEPS = 10_000
-"""Number of steps after which the solver stops."""
+"""The number of steps after which the solver stops."""
 
 
 def natural_map(points: FloatArray, field: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
@@ -22,7 +22,7 @@ def natural_map(points: FloatArray, field: FloatArray, low: FloatArray, high: Fl
 
 
 def solve_box(field: Field, jacobian: Field, low: FloatArray, high: FloatArray, start: FloatArray) -> FloatArray:
-    """x in [low, high] with F(x)ᵀ(y − x) ≥ 0 for all y in the box, for G monotone Lipschitz fields F at once.
+    """Find x in [low, high] with F(x)ᵀ(y − x) ≥ 0 for all y in the box, for G monotone Lipschitz fields F at once.
 
     A step is Newton's on the natural map (the active-set step: components pressed against a bound are set to it, the
     others solve F = 0) wherever that at least halves the smallest residual so far, and otherwise Korpelevich's
@@ -70,7 +70,7 @@ def solve_box(field: Field, jacobian: Field, low: FloatArray, high: FloatArray, 
 def _newton(
     field: Field, jacobian: Field, x: FloatArray, value: FloatArray, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Newton's next point in the box, and its residual; NaN where there is none."""
+    """Return Newton's next point in the box and its residual, NaN where there is none."""
     trial = np.clip(_active_set_step(x, value, jacobian(x), low, high), low, high)
     return trial, _norm(natural_map(trial, field(trial), low, high))
 
@@ -78,7 +78,7 @@ def _newton(
 def _active_set_step(
     x: FloatArray, value: FloatArray, slopes: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """Newton's next point; NaN where its system is singular."""
+    """Return Newton's next point, NaN where its system is singular."""
     below, above = x - value <= low, x - value >= high
     held = below | above
     matrices = np.where(held[:, None], np.eye(len(x))[:, :, None], slopes)

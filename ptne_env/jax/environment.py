@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ptne_env.jax.records import Games, columns, uniforms
+from ptne_env.jax.records import columns, game_sampler, uniforms
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.fields import InterfaceKind
 from ptne_env.perception.observation import INPUT_PER_ACTION, Interface
@@ -75,7 +75,7 @@ class JaxWorld:
         self._world.clock = copy.copy(self._world.clock)
         for name in ("theta", "dt"):
             setattr(self._world.clock, name, jnp.asarray(getattr(self._world.clock, name)))
-        self._games = Games(self.numpy, require_count("pool", pool, 1))
+        self._draw_games = game_sampler(self.numpy, require_count("pool", pool, 1))
         self._parts = [each if callable(each) else jnp.asarray(each) for _, each in self._encoder.parts]
         self._starts, self._schedules = self._drawn_starts(pool), self._drawn_schedules(pool)
 
@@ -86,7 +86,7 @@ class JaxWorld:
         seed = jax.random.bits(key, (1,), jnp.uint64)
         of_episode = counter_random.words(seed, jnp.arange(num_envs, dtype=jnp.uint64))
         keys = [counter_random.child_keys(of_episode, purpose) for purpose in range(5)]
-        game, start = self._games.draw(keys[0]), self.numpy.start
+        game, start = self._draw_games(keys[0]), self.numpy.start
         if isinstance(start, UniformStart):
             unit = uniforms(keys[1], self.layout.dimension * self.layout.num_players)
             estimates = start.low + (start.high - start.low) * unit.reshape(self.layout.dimension, -1, num_envs)
@@ -102,8 +102,7 @@ class JaxWorld:
     def state(self, state: State) -> State:
         """A state of the numpy world, with the same game and draws."""
         require_x64()
-        converted = state._replace(game=self._games.converted(state.game), any_diverged=True)
-        return jax.tree.map(jnp.asarray, converted)
+        return jax.tree.map(jnp.asarray, state)
 
     @partial(jax.jit, static_argnums=0)
     def step(self, state: State, inputs: jax.Array) -> State:

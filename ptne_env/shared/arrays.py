@@ -21,40 +21,40 @@ BoolArray: TypeAlias = npt.NDArray[np.bool_]
 Array = TypeVar("Array", bound=npt.NDArray[np.generic])
 
 _MANY = 64
-"""Entries of a term from which on a sum is made term by term."""
+"""The number of entries of a term from which on a sum is made term by term."""
 
 _SHORT = 16
-"""Longest row of which the maximum is found column by column."""
+"""The length of the longest row whose maximum is found column by column."""
 
 
 _FEW = 64
-"""Most terms that compiled code adds one by one."""
+"""The largest number of terms that compiled code adds one by one."""
 
 
 def is_numpy(array: Any) -> bool:
-    """Whether an array is of numpy, and not of JAX, which may not know its numbers yet, and never changes them."""
+    """Return whether an array is numpy's. One of JAX may not know its numbers yet, and never changes them."""
     return isinstance(array, np.ndarray)
 
 
 def array_namespace(array: Any) -> Any:
-    """The library of an array, numpy or ``jax.numpy``, so that a formula serves both: ``xp.exp(x)``."""
+    """Return the library of an array, numpy or ``jax.numpy``, so that a formula serves both: ``xp.exp(x)``."""
     return np if is_numpy(array) else array.__array_namespace__()
 
 
 def without_gradient(array: Any) -> Any:
-    """The same array, which JAX does not differentiate."""
+    """Return the same array, which JAX does not differentiate."""
     return array if is_numpy(array) else sys.modules["jax"].lax.stop_gradient(array)
 
 
-def rounded(array: Any) -> Any:
-    """The nearest whole numbers. JAX differentiates this as if nothing were rounded (straight-through)."""
+def round_to_integers(array: Any) -> Any:
+    """Round to whole numbers. JAX differentiates this as if nothing were rounded (straight-through)."""
     if is_numpy(array):
         return np.rint(array)
     return array + without_gradient(array_namespace(array).rint(array) - array)
 
 
 def root(array: Any) -> Any:
-    """The square root. JAX differentiates it as 0 at 0."""
+    """Return the square root. JAX differentiates it as 0 at 0."""
     if is_numpy(array):
         return np.sqrt(array)
     xp = array_namespace(array)
@@ -62,7 +62,7 @@ def root(array: Any) -> Any:
 
 
 def product(first: Any, second: Any) -> Any:
-    """``first * second``, in the order C, on which the order of a sum's additions depends."""
+    """Return ``first * second`` in C order, because the order of a sum's additions depends on it."""
     if is_numpy(second):
         return np.multiply(first, second, order="C")
     return first * second
@@ -96,6 +96,11 @@ def require_probability(name: str, value: float) -> float:
     return float(value)
 
 
+def require_positive_probability(name: str, value: float) -> float:
+    """Return ``value`` as a float, or raise ``ValueError`` when it is not a number in (0, 1]."""
+    return require_probability(name, require_positive(name, value))
+
+
 def require_count(name: str, value: int, minimum: int) -> int:
     """Return ``value``, or raise ``ValueError`` when it is not a whole number of at least ``minimum``."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < minimum:  # type: ignore[redundant-expr]  # callers may pass any type
@@ -118,22 +123,22 @@ def require_printable(name: str, value: str) -> str:
 
 
 def as_plain(name: str, value: npt.ArrayLike) -> npt.NDArray[Any]:
-    """``value`` as an array, or ``ValueError`` when it is a masked array, whose mask would be lost."""
+    """Return ``value`` as an array, or raise ``ValueError`` when it is a masked array, whose mask would be lost."""
     if isinstance(value, MaskedArray):
         raise ValueError(f"{name} must be a plain array, got a masked array: fill its masked entries")
     return np.asarray(value)
 
 
 def require_mask(name: str, value: npt.ArrayLike, size: int) -> BoolArray:
-    """``value`` as an array, or ``ValueError`` when it is not ``size`` booleans, shape (size,)."""
+    """Return ``value`` as an array, or raise ``ValueError`` when it is not ``size`` booleans, shape (size,)."""
     mask = as_plain(name, value)
     if mask.shape != (size,) or mask.dtype != np.bool_:
         raise ValueError(f"{name} is {size} booleans, got {mask.dtype} of shape {mask.shape}")
     return mask
 
 
-def frozen(array: npt.ArrayLike) -> FloatArray:
-    """A read-only float64 copy, safe to share; an array of JAX as it is."""
+def freeze(array: npt.ArrayLike) -> FloatArray:
+    """Return a read-only float64 copy, which is safe to share; an array of JAX as it is."""
     given: Any = array
     if hasattr(given, "__array_namespace__") and not is_numpy(given):
         return given
@@ -142,8 +147,14 @@ def frozen(array: npt.ArrayLike) -> FloatArray:
     return result
 
 
+def with_games(values: npt.ArrayLike, axes: int) -> FloatArray:
+    """Return a read-only array with a last axis for games; the numbers of a single game have ``axes`` and lack it."""
+    array = freeze(values)
+    return array if array.ndim > axes else array[..., None]
+
+
 def fold(ufunc: np.ufunc, array: Array, axis: int) -> Array:
-    """``ufunc.reduce`` along a short axis, term by term, in order: faster than numpy's own where the terms are long."""
+    """Reduce a short axis term by term, in order: faster than ``ufunc.reduce`` where the terms are long."""
     terms: Any = array
     before = (slice(None),) * (axis % array.ndim)
     result: Array = terms[(*before, 0)].copy()
@@ -153,7 +164,7 @@ def fold(ufunc: np.ufunc, array: Array, axis: int) -> Array:
 
 
 def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:
-    """The sum along ``axis`` in order. Numpy's own order depends on the memory layout, so on the size of the batch."""
+    """Sum along ``axis`` in order. Numpy's own order depends on the memory layout, so on the size of the batch."""
     if not is_numpy(array):
         # Compiled, a sum of few terms is several times as fast as a reduction.
         terms = array_namespace(array).moveaxis(array, axis, 0)
@@ -164,12 +175,12 @@ def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:
 
 
 def row_maxima(array: FloatArray) -> FloatArray:
-    """The largest entry along the last axis, (..., k) to (...)."""
+    """Return the largest entry along the last axis, (..., k) to (...)."""
     return fold(np.maximum, array, -1) if array.shape[-1] <= _SHORT else np.maximum.reduce(array, axis=-1)
 
 
-def replaced(old: Array, fresh: Array, mask: BoolArray) -> Array:
-    """A copy of ``old`` with the entries in ``mask`` (B,) of its last axis replaced by those of ``fresh``, in order."""
+def replace_columns(old: Array, fresh: Array, mask: BoolArray) -> Array:
+    """Return a copy of ``old`` whose columns in ``mask`` (B,) are replaced, in order, by those of ``fresh``."""
     result = old.copy()
     result[..., mask] = fresh
     return result

@@ -27,12 +27,12 @@ _DROPPED_BITS = np.uint64(12)
 
 
 def special_functions(array: Any) -> Any:
-    """``scipy.special``, or ``jax.scipy.special`` for an array of JAX."""
+    """Return ``scipy.special``, or ``jax.scipy.special`` for an array of JAX."""
     return special if is_numpy(array) else sys.modules["jax"].scipy.special
 
 
 def mix(values: CounterArray) -> CounterArray:
-    """The finaliser of splitmix64, a bijection of the 64-bit numbers; every input bit affects every output bit."""
+    """Apply the finaliser of splitmix64, a bijection of 64-bit numbers: every input bit affects every output bit."""
     xp = array_namespace(values)
     values = xp.array(values, dtype=np.uint64, ndmin=1)  # a copy; scalars would warn where arrays wrap
     for shift, factor in zip(_SHIFTS, (_FIRST, _SECOND, None), strict=True):
@@ -43,7 +43,7 @@ def mix(values: CounterArray) -> CounterArray:
 
 
 def child_keys(keys: CounterArray, index: int) -> CounterArray:
-    """Keys of child stream ``index`` of the streams ``keys``, of the same shape.
+    """Return the keys of child stream ``index`` of the streams ``keys``, in the same shape.
 
     Raises:
         OverflowError: when ``index`` is negative or not below 2^64.
@@ -53,12 +53,12 @@ def child_keys(keys: CounterArray, index: int) -> CounterArray:
 
 
 def words(keys: CounterArray, counters: CounterArray) -> CounterArray:
-    """64 random bits for every key and counter; the two arrays are broadcast."""
+    """Return 64 random bits for every key and counter; the two arrays are broadcast."""
     return mix(mix(keys) + (counters + np.uint64(1)) * _GAMMA)
 
 
 def uniforms(keys: CounterArray, counters: CounterArray) -> FloatArray:
-    """U(0, 1) for every key and counter: multiples of 2^−53, never 0 or 1, symmetric about 1/2."""
+    """Return U(0, 1) for every key and counter: multiples of 2^−53, never 0 or 1, symmetric about 1/2."""
     bits = words(keys, counters)
     bits >>= _DROPPED_BITS  # 52 bits plus ½ are exact in float64; 53 bits plus ½ could round up to 1
     result = bits.astype(np.float64)
@@ -68,7 +68,7 @@ def uniforms(keys: CounterArray, counters: CounterArray) -> FloatArray:
 
 
 def normals(keys: CounterArray, counters: CounterArray) -> FloatArray:
-    """N(0, 1) for every key and counter, by inversion; none is larger than 8.3. A new array."""
+    """Return N(0, 1) for every key and counter, by inversion; none is larger than 8.3."""
     numbers = uniforms(keys, counters)
     result: FloatArray = special_functions(numbers).ndtri(numbers)
     return result

@@ -10,7 +10,7 @@ _SYMBOLS = {"T": "deadline", "c": "gain", "K": "steps", "N": "players"}
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = "") -> str:
-    """The message that a name does not exist, with similar names, or all where none is similar.
+    """Return the message that a name does not exist, with similar names, or all where none is similar.
 
     Args:
         kind: of the name, such as "scenario".
@@ -22,7 +22,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = ""
 
 
 def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
-    """The second half of the message: up to three similar names, or all where none is similar.
+    """Return the second half of the message: up to three similar names, or all where none is similar.
 
     Capitals do not count, ``_`` is ``-``, and a name may be the beginning or, after ``/``, the end of the meant one.
 
@@ -37,8 +37,8 @@ def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
     if (meant := _SYMBOLS.get(name)) in choices:
         return f"did you mean {meant!r}?"
     parts = {part: choice for choice in choices for part in (_plain(choice), _plain(choice).rpartition("/")[2])}
-    found = [*get_close_matches(asked, parts), *(part for part in parts if name and part.startswith(asked))]
-    near = list(dict.fromkeys(repr(parts[part]) for part in found))[:3]
+    similar = [*get_close_matches(asked, parts), *(part for part in parts if name and part.startswith(asked))]
+    near = list(dict.fromkeys(repr(parts[part]) for part in similar))[:3]
     if near:
         return f"did you mean {' or '.join(filter(None, (', '.join(near[:-1]), near[-1])))}?"
     return f"choose from {', '.join(choices)}" + f", or {otherwise}" * bool(otherwise)

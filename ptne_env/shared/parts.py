@@ -7,33 +7,35 @@ Any other callable is named by ``module:object``.
 from __future__ import annotations
 
 import importlib
-import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import MISSING, dataclass, field, fields
+from functools import cached_property, wraps
+from inspect import get_annotations
+from reprlib import repr as short_repr
 from types import FunctionType
-from typing import Any, Self
+from typing import Any, dataclass_transform
 
 import numpy as np
 
 from ptne_env.shared.names import unknown_name
 
 PARTS: Mapping[str, str] = {
-    "game:affine": "ptne_env.games:AffineGame",
     "game:coupled": "ptne_env.games:CoupledConstraint",
     "game:cournot": "ptne_env.games:NetworkedCournot",
     "game:energy": "ptne_env.games:EnergyGame",
     "game:ev-charging": "ptne_env.games:ElectricVehicleCharging",
     "game:non-quadratic": "ptne_env.games:NonQuadraticGame",
     "game:oligopoly": "ptne_env.games:Oligopoly",
-    "game:priced": "ptne_env.games:priced",
+    "game:priced": "ptne_env.games:price_constraint",
+    "game:quadratic": "ptne_env.games:QuadraticGame",
     "game:random-affine": "ptne_env.games:RandomAffine",
     "game:random-energy": "ptne_env.games:RandomEnergy",
     "game:random-saturating": "ptne_env.games:RandomSaturating",
     "game:rate-control": "ptne_env.games:RateControl",
     "game:robots": "ptne_env.games:ConnectivityControl",
     "game:saturating": "ptne_env.games:SaturatingGame",
-    "game:single": "ptne_env.games:SingleGame",
     "game:weakly-monotone": "ptne_env.games:WeaklyMonotoneGame",
     "topology:circulant": "ptne_env.world.graphs:circulant",
     "topology:complete": "ptne_env.world.graphs:complete",
@@ -91,17 +93,17 @@ _MAIN = "__main__"
 
 
 def part_id(target: str) -> str:
-    """The id of a part of this library that is named by ``module:object``; any other target as it is."""
+    """Return the id of a part of this library that is named by ``module:object``; any other target as it is."""
     return _IDS.get(target, target)
 
 
 def is_part(target: str) -> bool:
-    """Whether a target is a part of this library; any other target may run any code."""
+    """Return whether a target is a part of this library; any other target may run any code."""
     return part_id(target) in PARTS
 
 
 def foreign_targets(data: Any) -> list[str]:
-    """The targets in a spec, or in JSON data at any depth, that are no parts of this library; nothing is imported.
+    """List the targets in a spec, or in JSON data at any depth, that are no parts of this library; import nothing.
 
     Args:
         data: a :class:`FactorySpec`, or the content of a file: a scenario, a suite or results. In all of these, what
@@ -110,7 +112,7 @@ def foreign_targets(data: Any) -> list[str]:
     Returns:
         The targets, sorted, each once.
     """
-    found, pending = set(), [data]
+    foreign, pending = set(), [data]
     while pending:
         value = pending.pop()
         if isinstance(value, FactorySpec):
@@ -118,15 +120,15 @@ def foreign_targets(data: Any) -> list[str]:
         if isinstance(value, Mapping):
             target = value.get("target")
             if isinstance(target, str) and not is_part(target):
-                found.add(target)
+                foreign.add(target)
             pending.extend(value.values())
         elif isinstance(value, list | tuple):
             pending.extend(value)
-    return sorted(found)
+    return sorted(foreign)
 
 
 def resolve(target: str) -> Any:
-    """Import the object that an id or ``module:object`` names.
+    """Import and return the object that an id or ``module:object`` names.
 
     Raises:
         ValueError: when the string has another form, or the module cannot be imported or has no such object.
@@ -152,16 +154,100 @@ def resolve(target: str) -> Any:
         raise ValueError(f"module {module_name!r} has no {attribute!r}; part {target!r} cannot be built") from error
 
 
+def checked(check: Callable[..., Any], *limits: Any, default: Any = MISSING) -> Any:
+    """Declare a field of a part whose value is ``check(name, value, *limits)``, such as ``require_count`` and 1."""
+    return field(default=default, metadata={"check": check, "limits": limits})
+
+
+@dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(field, checked))
+@dataclass(frozen=True, eq=False, repr=False)
 class Part:
-    """The base class of parts: an instance remembers the arguments that it is made with, so that a spec can name it."""
+    """The base class of parts. A subclass is a frozen dataclass without further ado: its fields are its arguments.
 
-    _made_with: tuple[tuple[Any, ...], dict[str, Any]]
+    A subclass declares fields and derives everything else in (cached) properties. So the fields say all about an
+    object, and :meth:`FactorySpec.of` reads them. One field is checked by :func:`checked`, several together in
+    ``__post_init__``, which calls that of its base. Arrays and lists that are given are copied, arrays to read-only
+    arrays and lists to tuples. Two parts are equal if they have the same class and equal fields, where arrays, lists
+    and tuples with the same entries are equal.
 
-    def __new__(cls, *arguments: Any, **named: Any) -> Self:
-        """An instance, which ``__init__`` fills."""
-        made = super().__new__(cls)
-        object.__setattr__(made, "_made_with", (arguments, named))
-        return made
+    A subclass may turn a field of its base into a class attribute: ``clock: ClassVar[str] = "physical"``.
+
+    Raises:
+        TypeError: when a subclass defines ``__init__``.
+        dataclasses.FrozenInstanceError: when an attribute of an object is assigned.
+    """
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        if "__init__" in vars(cls):
+            raise TypeError(
+                f"{cls.__name__} defines __init__, but the arguments of a part are its fields: declare them, such as "
+                "`size: float = 1.0`, check them in __post_init__, and derive other attributes in cached properties"
+            )
+        for name in get_annotations(cls).keys() - vars(cls).keys():
+            setattr(cls, name, field())  # else an attribute of the base with this name would be its default
+        for value in vars(cls).values():
+            if isinstance(value, cached_property):
+                value.lock = nullcontext()  # type: ignore[attr-defined]  # Python 3.11 has a lock here, which no pickle holds
+        dataclass(frozen=True, eq=False, repr=False)(cls)
+        assign: Any = cls.__init__
+
+        @wraps(assign)
+        def __init__(self: Part, *arguments: Any, **named: Any) -> None:  # noqa: N807 - it becomes the method
+            assign(
+                self,
+                *map(_copy_immutably, arguments),
+                **{name: _copy_immutably(value) for name, value in named.items()},
+            )
+
+        cls.__init__ = __init__  # type: ignore[assignment,method-assign]  # it takes the fields, as assign does
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            if "check" in each.metadata:
+                check, limits = each.metadata["check"], each.metadata["limits"]
+                vars(self)[each.name] = check(each.name, getattr(self, each.name), *limits)
+
+    @cached_property
+    def _values(self) -> tuple[Any, ...]:
+        return tuple(as_tuples(getattr(self, each.name)) for each in fields(self))
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (type(self) is type(other) and self._values == other._values)
+
+    def __hash__(self) -> int:
+        return hash((type(self), self._values))
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name}={short_repr(value)}" for name, value in _changed_fields(self).items())
+        return f"{type(self).__name__}({values})"
+
+
+def _changed_fields(part: Part) -> dict[str, Any]:
+    """Return the fields of a part that differ from their defaults, by name."""
+    values = {}
+    for each in fields(part):
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        value = getattr(part, each.name)
+        if default is MISSING or as_tuples(value) != as_tuples(default):
+            values[each.name] = value
+    return values
+
+
+def _copy_immutably(value: Any) -> Any:
+    """Return an argument that nobody can change: a read-only copy of an array, a tuple for a list."""
+    if isinstance(value, np.ndarray):
+        value = np.array(value, subok=True)
+        value.flags.writeable = False
+    return tuple(map(_copy_immutably, value)) if isinstance(value, list | tuple) else value
+
+
+def as_tuples(value: Any) -> Any:
+    """Turn sequences and arrays into tuples of Python's numbers, at all depths; return anything else as it is."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    is_sequence = isinstance(value, Sequence) and not isinstance(value, str)
+    return tuple(map(as_tuples, value)) if is_sequence else value
 
 
 def _target(definition: Any) -> str:
@@ -190,51 +276,25 @@ def _target(definition: Any) -> str:
     return f"{module}:{name}"
 
 
-def _by_name(signature: inspect.Signature, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of a call by name; ``TypeError`` where one has none."""
-    found = dict(signature.bind(*arguments, **named).arguments)
-    for name, parameter in signature.parameters.items():
-        if parameter.kind is parameter.VAR_KEYWORD:
-            found |= found.pop(name, {})
-        elif parameter.kind in (parameter.VAR_POSITIONAL, parameter.POSITIONAL_ONLY) and name in found:
-            raise TypeError(f"argument {name!r} has no name in a call")
-    return found
-
-
-def _alike(first: Any, second: Any) -> bool:
-    """Whether two objects that were made in the same way hold the same numbers and strings."""
-    if type(first) is not type(second):
-        return False
-    if isinstance(first, Part):
-        first, second = ({**vars(part), "_made_with": ()} for part in (first, second))
-    if isinstance(first, np.ndarray):
-        return first.dtype == object or np.array_equal(first, second, equal_nan=first.dtype.kind in "fc")
-    if isinstance(first, list | tuple):
-        return len(first) == len(second) and all(map(_alike, first, second))
-    if isinstance(first, dict):  # a cached property is in one of them only
-        return all(_alike(first[name], second[name]) for name in first.keys() & second.keys())
-    return not isinstance(first, str | bool | int | float) or first == second or first != first  # noqa: PLR0124 - NaN
-
-
-def _freeze(value: Any) -> Any:
+def _as_argument(value: Any) -> Any:
+    """Return a value as a spec holds it: hashable, and made of specs and of what JSON can hold."""
+    value = as_tuples(value)
+    if isinstance(value, tuple):
+        return tuple(map(_as_argument, value))
     if isinstance(value, Mapping):
         return FactorySpec.from_dict(value)
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return tuple(_freeze(item) for item in value)
+    if isinstance(value, Part | type | FunctionType):
+        return FactorySpec.of(value)
     if isinstance(value, str | bool | int | float | FactorySpec) or value is None:
         return value
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        return _freeze(value.tolist())
-    if isinstance(value, Part | type | FunctionType):
-        return FactorySpec.naming(value)
     raise TypeError(f"arguments of a part are numbers, strings, lists and parts, got {type(value).__name__}")
 
 
-def _mapped(value: Any, change: Callable[[FactorySpec], Any], sequence: type[Any] = tuple) -> Any:
-    """An argument with every spec in it changed, and every tuple a ``sequence``."""
+def _replace_specs(value: Any, change: Callable[[FactorySpec], Any], sequence: type[Any] = tuple) -> Any:
+    """Return an argument in which every spec is changed, and every tuple is a ``sequence``."""
     if isinstance(value, FactorySpec):
         return change(value)
-    return sequence(_mapped(item, change, sequence) for item in value) if isinstance(value, tuple) else value
+    return sequence(_replace_specs(item, change, sequence) for item in value) if isinstance(value, tuple) else value
 
 
 @dataclass(frozen=True)
@@ -255,53 +315,35 @@ class FactorySpec:
         object.__setattr__(self, "target", part_id(self.target))
 
     @classmethod
-    def of(cls, target: str | Callable[..., Any], /, **arguments: Any) -> FactorySpec:
-        """The spec of ``target`` with keyword ``arguments``; lists and arrays become tuples.
+    def of(cls, target: str | Part | Callable[..., Any], /, **arguments: Any) -> FactorySpec:
+        """Return the spec of ``target`` with keyword ``arguments``; lists and arrays become tuples.
 
         Args:
-            target: an id, ``module:object``, or the class or function itself.
-            **arguments: to call it with.
+            target: an id, ``module:object``, a class or function, or a part, whose fields are further arguments where
+                they differ from their defaults.
+            **arguments: numbers, strings, lists, arrays, parts and specs.
 
         Raises:
-            ValueError: for a class or function that no module has under its name.
+            ValueError: for a class or function that no module has under its name, or a part with a field that is none
+                of the above.
             TypeError: for an argument that is none of the above.
         """
+        if isinstance(target, Part):
+            try:
+                return cls.of(type(target), **{**_changed_fields(target), **arguments})
+            except TypeError as error:
+                raise ValueError(
+                    f"a {type(target).__name__} cannot be named by its fields ({error}): define a function without "
+                    "arguments that makes it, at the top of a module, and name the function"
+                ) from error
         name = target if isinstance(target, str) else _target(target)
-        return cls(name, tuple((name, _freeze(value)) for name, value in sorted(arguments.items())))
-
-    @classmethod
-    def naming(cls, part: Part | Callable[..., Any]) -> FactorySpec:
-        """The spec that makes an object like ``part``, from the arguments that this one was made with.
-
-        Args:
-            part: an instance, or a class or function that is called without arguments.
-
-        Raises:
-            ValueError: when its class is in no module, its arguments are no numbers, strings, lists or parts, or the
-                spec makes another object, because this one was changed or its constructor draws random numbers.
-        """
-        if not isinstance(part, Part):
-            return cls.of(part)
-        kind, (arguments, named) = type(part), part._made_with  # noqa: SLF001 - of this module
-        try:
-            spec = cls.of(kind, **_by_name(inspect.signature(kind), arguments, named))
-        except TypeError as error:
-            raise ValueError(
-                f"a {kind.__name__} cannot be named by its arguments ({error}): define a function without arguments "
-                "that makes it, at the top of a module, and name the function"
-            ) from error
-        if not _alike(part, spec.build()):
-            raise ValueError(
-                f"the arguments of this {kind.__name__} make another one: it was changed later, or it draws random "
-                "numbers when it is made; give what differs, such as a seed, as an argument"
-            )
-        return spec
+        return cls(name, tuple((name, _as_argument(value)) for name, value in sorted(arguments.items())))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A spec takes a target in a notebook along, which workers cannot import: cloudpickle sends it by value."""
+        """Take a target in a notebook along, which workers cannot import: cloudpickle sends it by value."""
         if self.target.partition(":")[0] != _MAIN:
             return FactorySpec, (self.target, self.arguments)
-        return _arrived, (self.target, self.arguments, resolve(self.target))
+        return _unpickle, (self.target, self.arguments, resolve(self.target))
 
     def build(self, /, **extra: Any) -> Any:
         """Import the target and call it with the arguments and with ``extra`` ones of the caller.
@@ -310,19 +352,19 @@ class FactorySpec:
             ValueError: when the target cannot be imported or refuses the arguments.
         """
         target = resolve(self.target)
-        arguments = {name: _mapped(value, FactorySpec.build) for name, value in self.arguments}
+        arguments = {name: _replace_specs(value, FactorySpec.build) for name, value in self.arguments}
         try:
             return target(**arguments, **extra)
         except (TypeError, AttributeError, LookupError, ArithmeticError) as error:  # typical effects of wrong arguments
             if not arguments and not isinstance(error, TypeError):
                 raise  # without arguments the mistake is in the target
-            given = sorted(arguments | extra)
-            advice = f"; name it with arguments, FactorySpec.of({self.target!r}, ...)" * (not given)
-            raise ValueError(f"part {self.target!r} refuses its arguments {given}: {error}{advice}") from error
+            names = sorted(arguments | extra)
+            advice = f"; name it with arguments, FactorySpec.of({self.target!r}, ...)" * (not names)
+            raise ValueError(f"part {self.target!r} refuses its arguments {names}: {error}{advice}") from error
 
     def to_dict(self) -> dict[str, Any]:
         """A JSON object ``{"target": ..., "arguments": {...}}``."""
-        arguments = {name: _mapped(value, FactorySpec.to_dict, list) for name, value in self.arguments}
+        arguments = {name: _replace_specs(value, FactorySpec.to_dict, list) for name, value in self.arguments}
         return {"target": self.target, "arguments": arguments}
 
     @classmethod
@@ -344,7 +386,7 @@ class FactorySpec:
             raise ValueError(f"the arguments of part {target!r} are nested too deeply") from None
 
 
-def _arrived(target: str, arguments: tuple[tuple[str, Any], ...], definition: Any) -> FactorySpec:
-    """The spec with a local target in another process, whose ``__main__`` gets the definition."""
+def _unpickle(target: str, arguments: tuple[tuple[str, Any], ...], definition: Any) -> FactorySpec:
+    """Return a spec that was sent by another process, and define its target in this one's ``__main__``."""
     setattr(sys.modules[_MAIN], target.partition(":")[2], definition)
     return FactorySpec(target, arguments)

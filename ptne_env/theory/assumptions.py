@@ -14,14 +14,14 @@ import numpy as np
 import scipy
 
 from ptne_env.games import Game
-from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, frozen
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, freeze
 from ptne_env.theory.constants import SAMPLES, MonotonicityConstants, jacobian_at_equilibrium
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.world import World
 
 Verdict: TypeAlias = Literal["holds", "fails", "sampled only"]
 
-_GRID = frozen(np.linspace(0.0, 6.0, 2001))
+_GRID = freeze(np.linspace(0.0, 6.0, 2001))
 """Transformed times s at which a time transformation is checked."""
 
 _LIMIT_TOLERANCE = 1e-4
@@ -256,18 +256,17 @@ def _require_shape(
 
 def _move_into_box(game: Game, radius: float, drawn: FloatArray) -> FloatArray:
     """Map points drawn from [−radius, radius] into the game's box."""
-    if game.low is None or game.high is None:
+    if game.box is None:
         return drawn
-    low = np.where(np.isfinite(game.low), game.low, np.where(np.isfinite(game.high), game.high - 2 * radius, -radius))
-    high = np.where(np.isfinite(game.high), game.high, low + 2 * radius)
+    low, high = game.box
+    low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - 2 * radius, -radius))
+    high = np.where(np.isfinite(high), high, low + 2 * radius)
     return low + (high - low) * (drawn + radius) / (2 * radius)
 
 
 def _differentiate_costs(game: Game, points: FloatArray) -> FloatArray:
     """Return numerical derivatives ∂J_i/∂x_i at points (n, samples); same shape."""
-    low, high = (np.full((game.dimension, 1), bound) for bound in (-np.inf, np.inf))
-    if game.low is not None and game.high is not None:
-        low, high = game.low[:, :1], game.high[:, :1]
+    low, high = game.box or (np.full((game.dimension, 1), bound) for bound in (-np.inf, np.inf))
     # A cost need not be defined outside the box, so derivatives there are taken on the wider side.
     side = np.where(high - points >= points - low, 1, -1)
     components, samples = np.indices(points.shape)
@@ -312,8 +311,9 @@ def _grows_along_rays(game: Game, points: FloatArray, player: int, block: BoolAr
     grows = True
     for sign in (-1.0, 1.0):
         ray = sign * direction
-        if game.low is not None and game.high is not None:  # only in unbounded directions
-            ray = np.where(np.where(ray < 0, game.low[block], game.high[block]) * np.sign(ray) == np.inf, ray, 0.0)
+        if game.box is not None:  # only in unbounded directions
+            low, high = game.box
+            ray = np.where(np.where(ray < 0, low[block], high[block]) * np.sign(ray) == np.inf, ray, 0.0)
             ray = ray / np.maximum(np.linalg.norm(ray, axis=0), 1e-300)
         leaves = np.any(ray != 0, axis=0)
         costs = [_cost_on_ray(game, points, player, block, ray, radius)[leaves] for radius in _RADII]

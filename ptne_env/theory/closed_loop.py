@@ -177,9 +177,9 @@ def decay_rate(
     if clock == "effective" and topology.clock == "physical":
         return spectral_abscissa(matrices[last_modes(topology, deadline)[0]])
     if clock == "physical" and topology.clock == "transformed":
-        return spectral_abscissa(np.average(matrices, axis=0, weights=topology.dwells))
+        return spectral_abscissa(np.average(matrices, axis=0, weights=topology.mode_dwells))
     monodromy = np.eye(len(matrices[0]))
-    for matrix, dwell in zip(matrices, topology.dwells, strict=True):
+    for matrix, dwell in zip(matrices, topology.mode_dwells, strict=True):
         monodromy = linalg.expm(-matrix * dwell) @ monodromy
     return -math.log(float(np.abs(np.linalg.eigvals(monodromy)).max())) / topology.period
 

@@ -12,7 +12,7 @@ from ptne_env.world.scenario import Scenario
 _SCENARIOS: dict[str, tuple[Scenario, str]] = {}
 
 
-def _named(name: str, game: FactorySpec | str, topology: FactorySpec, description: str, **fields: Any) -> None:
+def _add(name: str, game: FactorySpec | str, topology: FactorySpec, description: str, **fields: Any) -> None:
     _SCENARIOS[name] = Scenario(name=name, **{"game": game, "topology": topology, **fields}), description
 
 
@@ -33,45 +33,45 @@ _PRINTED = FactorySpec.of("game:non-quadratic", variant="printed")
 _HVAC = FactorySpec.of("game:energy", target=(50.0, 55.0, 60.0, 65.0, 70.0), coupling=0.04, base_price=5.0)
 # fmt: off
 # The paper's examples.
-_named("energy", "energy", _RING,
+_add("energy", "energy", _RING,
        "The paper's first example: five buildings buy electricity at a price that rises with the total; a fixed ring.")
-_named("energy-switching", "energy", _PHYSICAL,
+_add("energy-switching", "energy", _PHYSICAL,
        "The energy game on links that change every 0.1 s; at no time do they connect all players.")
-_named("energy-switching-transformed", "energy", _TRANSFORMED,
+_add("energy-switching-transformed", "energy", _TRANSFORMED,
        "The energy game on links that change faster and faster before the deadline: every 0.25 of transformed time.")
-_named("non-quadratic", _CORRECTED, _RING,
+_add("non-quadratic", _CORRECTED, _RING,
        "The paper's second example, whose costs are not quadratic, with a misprint corrected; a fixed ring.")
-_named("non-quadratic-switching", _CORRECTED, _PHYSICAL,
+_add("non-quadratic-switching", _CORRECTED, _PHYSICAL,
        "The corrected second example on links that change every 0.1 s.")
-_named("non-quadratic-printed", _PRINTED, _RING,
+_add("non-quadratic-printed", _PRINTED, _RING,
        "The second example as it is printed, whose equilibrium is not the printed one.")
 # Families of games, for training and evaluation.
-_named("random-energy", _RANDOM_ENERGY, _RING,
+_add("random-energy", _RANDOM_ENERGY, _RING,
        "Another energy game in every episode, for training; a fixed ring.", s_end=6.0)
-_named("random-energy-switching", _RANDOM_ENERGY, _PHYSICAL,
+_add("random-energy-switching", _RANDOM_ENERGY, _PHYSICAL,
        "Another energy game in every episode, on links that change every 0.1 s.", s_end=6.0)
-_named("random-energy-switching-transformed", _RANDOM_ENERGY, _TRANSFORMED,
+_add("random-energy-switching-transformed", _RANDOM_ENERGY, _TRANSFORMED,
        "Another energy game in every episode, on links that change faster and faster before the deadline.", s_end=6.0)
 # Games of the field.
-_named("hvac-ye-hu", _HVAC, _RING,
+_add("hvac-ye-hu", _HVAC, _RING,
        "Ye and Hu's energy game: five buildings choose the power of heating, ventilation and air conditioning.",
        start=_between(0.0, 100.0))
-_named("cournot", "cournot", _RING,
+_add("cournot", "cournot", _RING,
        "Five firms choose the amounts that they sell in several markets, at most their capacities.",
        start=_between(0.0, 6.0))
-_named("oligopoly", "oligopoly", _cycle(players=4),
+_add("oligopoly", "oligopoly", _cycle(players=4),
        "Four firms choose prices; customers share their demand among them.", start=_between(20.0, 60.0))
-_named("robots", "robots", _RING,
+_add("robots", "robots", _RING,
        "Five robots in the plane stay near their posts and near each other.", start=_between(-10.0, 10.0))
-_named("ev-charging", "ev-charging", _RING,
+_add("ev-charging", "ev-charging", _RING,
        "Five electric vehicles choose when to charge; the price of an interval rises with its load.",
        start=_between(0.0, 2.0))
-_named("rate-control", "rate-control", _RING,
+_add("rate-control", "rate-control", _RING,
        "Five users of a network choose their data rates; the price of a link rises with its load.",
        start=_between(0.0, 4.0))
-_named("random-affine", FactorySpec.of("game:random-affine", players=5), _RING,
+_add("random-affine", FactorySpec.of("game:random-affine", players=5), _RING,
        "A strongly monotone game with random linear gradients, another one in every episode.")
-_named("weakly-monotone", "weakly-monotone", _RING,
+_add("weakly-monotone", "weakly-monotone", _RING,
        "A leader and four followers in a game that is monotone, but not strongly, as the theorems need it.")
 # fmt: on
 
@@ -83,7 +83,9 @@ DESCRIPTIONS: Mapping[str, str] = {name: sentence for name, (_, sentence) in _SC
 
 
 def get_scenario(scenario: str | Scenario, *, players: int | None = None, **overrides: Any) -> Scenario:
-    """A scenario by name (or as it is), with some fields changed: ``get_scenario("energy", start="random")``.
+    """Return a scenario by its name, or as it is, with some fields changed.
+
+    >>> get_scenario("energy", start="random")
 
     Args:
         scenario: a name of the catalogue, a ``"module:object"`` that is a scenario or a function that makes one, or a
@@ -98,8 +100,8 @@ def get_scenario(scenario: str | Scenario, *, players: int | None = None, **over
     """
     if isinstance(scenario, str):
         if ":" in scenario:
-            target, found = scenario, resolve(scenario)
-            scenario = found() if callable(found) else found
+            target, definition = scenario, resolve(scenario)
+            scenario = definition() if callable(definition) else definition
             if not isinstance(scenario, Scenario):
                 raise ValueError(f"{target!r} is a {type(scenario).__name__}, not a Scenario")
             return get_scenario(scenario, players=players, **overrides)
@@ -115,16 +117,16 @@ def get_scenario(scenario: str | Scenario, *, players: int | None = None, **over
             raise ValueError(unknown_name("scenario", scenario, CATALOGUE))
         scenario = CATALOGUE[scenario]
     if not isinstance(scenario, Scenario):  # an environment, for example
-        given = type(scenario).__name__
-        raise TypeError(f"a scenario is a name or a Scenario, such as env.scenario of an environment; got a {given}")
+        kind = type(scenario).__name__
+        raise TypeError(f"a scenario is a name or a Scenario, such as env.scenario of an environment; got a {kind}")
     scenario = scenario.replace(**overrides)
-    return scenario if players is None else _resized(scenario, players, overrides)
+    return scenario if players is None else _resize(scenario, players, overrides)
 
 
-def _resized(scenario: Scenario, players: int, given: Mapping[str, Any]) -> Scenario:
-    """A scenario with another number of players in its game and topology, except where they are given."""
+def _resize(scenario: Scenario, players: int, overrides: Mapping[str, Any]) -> Scenario:
+    """Return a scenario with other numbers of players in its game and topology, except where ``overrides`` has them."""
     parts: dict[str, FactorySpec] = {
-        name: getattr(scenario, name) for name in ("game", "topology") if name not in given
+        name: getattr(scenario, name) for name in ("game", "topology") if name not in overrides
     }
     fixed = [name for name, part in parts.items() if "players" not in dict(part.arguments)]
     if fixed:

@@ -20,6 +20,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -33,11 +34,12 @@ from ptne_env.shared.arrays import (
     require_count,
     require_non_negative,
     require_positive,
+    require_positive_probability,
     require_probability,
-    rounded,
+    round_to_integers,
 )
 from ptne_env.shared.counter_random import CounterArray, special_functions
-from ptne_env.shared.parts import Part
+from ptne_env.shared.parts import Part, checked
 
 Memory: TypeAlias = tuple[Any, ...]
 """Memory of a channel: arrays with environments last, and tuples of them."""
@@ -82,21 +84,21 @@ class LinkRandomness:
         self.owners = owners
 
     def stage(self, index: int) -> LinkRandomness:
-        """The random numbers of stage ``index`` of a chain, independent of all others."""
+        """Return the random numbers of stage ``index`` of a chain, which are independent of all others."""
         return LinkRandomness(counter_random.child_keys(self._keys, index), self._step, self.senders, self.owners)
 
     def uniforms(self, purpose: int = 0) -> FloatArray:
-        """U(0, 1) per directed link, shape (D, N, B); another ``purpose`` gives other numbers."""
+        """Draw U(0, 1) per directed link, shape (D, N, B); another ``purpose`` gives other numbers."""
         return counter_random.uniforms(self._base(purpose), self._links()[:, :, None])
 
     def normals(self, purpose: int = 0) -> FloatArray:
-        """N(0, 1) per component and directed link, shape (D, n, N, B); another ``purpose`` gives other numbers."""
+        """Draw N(0, 1) per component and directed link, shape (D, n, N, B); see :meth:`uniforms`."""
         components = np.arange(self.owners.size, dtype=np.uint64)
         numbers = self._links()[:, None, :] * np.uint64(self.owners.size) + components[:, None]
         return counter_random.normals(self._base(purpose), numbers[..., None])
 
     def episode_uniforms(self, count: int, purpose: int = 0) -> FloatArray:
-        """U(0, 1), the same in every step of an episode, shape (count, B); another ``purpose`` gives other numbers."""
+        """Draw U(0, 1), the same in every step of an episode, shape (count, B); see :meth:`uniforms`."""
         counters = np.arange(count, dtype=np.uint64)[:, None]
         return counter_random.uniforms(counter_random.child_keys(self._keys, purpose), counters)
 
@@ -111,19 +113,21 @@ class LinkRandomness:
 
 
 class Channel(Part, ABC):
-    """A map, with memory, from messages sent to messages received.
+    """A map, with memory, from messages sent to messages received."""
 
-    Attributes:
-        is_perfect: whether every message is received as it was sent.
-        is_random: whether two episodes differ.
-    """
+    @cached_property
+    def is_perfect(self) -> bool:
+        """Whether every message is received as it was sent."""
+        return False
 
-    is_perfect: bool = False
-    is_random: bool = True
+    @cached_property
+    def is_random(self) -> bool:
+        """Whether two episodes differ."""
+        return True
 
     @abstractmethod
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """The messages received in a step, and the memory for the next step.
+        """Return the messages received in a step, and the memory for the next step.
 
         Args:
             messages: the messages sent.
@@ -135,24 +139,35 @@ class Channel(Part, ABC):
 class Chain(Channel):
     """Stages in sequence; the perfect channel if there are none.
 
-    Args:
+    Attributes:
         stages: channels in the order in which messages pass them; a chain among them stands for its stages.
 
     Raises:
         ValueError: when a stage is not a channel.
     """
 
-    def __init__(self, stages: Sequence[Channel] = ()) -> None:
-        self.stages: tuple[Channel, ...] = ()
-        for stage in stages:
+    stages: Sequence[Channel] = ()
+
+    def __post_init__(self) -> None:
+        stages: list[Channel] = []
+        for stage in self.stages:
             if not isinstance(stage, Channel):
                 raise ValueError(f"the stages of a chain are channels, got a {type(stage).__name__}")
-            self.stages += stage.stages if isinstance(stage, Chain) else (stage,)
-        self.is_perfect = all(stage.is_perfect for stage in self.stages)
-        self.is_random = any(stage.is_random for stage in self.stages)
+            stages += stage.stages if isinstance(stage, Chain) else [stage]
+        vars(self)["stages"] = tuple(stages)
+
+    @cached_property
+    def is_perfect(self) -> bool:
+        """Whether all stages are perfect."""
+        return all(stage.is_perfect for stage in self.stages)
+
+    @cached_property
+    def is_random(self) -> bool:
+        """Whether a stage is random."""
+        return any(stage.is_random for stage in self.stages)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """The output of the last stage."""
+        """Return the output of the last stage."""
         remembered = []
         for index, stage in enumerate(self.stages):
             before = None if memory is None else memory[index]
@@ -172,20 +187,16 @@ class Range(Channel):
     Where what follows is noise or rounding of a fixed size, R bounds the ratio of signal to noise. So a sender that
     plays louder than it has to gains at most the logarithm of R over its strategy.
 
-    Args:
+    Attributes:
         limit: R > 0, in the units of the strategies.
-
-    Raises:
-        ValueError: when the limit is not positive.
     """
 
     is_random = False
 
-    def __init__(self, limit: float) -> None:
-        self.limit = require_positive("limit", limit)
+    limit: float = checked(require_positive)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Clipped messages."""
+        """Clip the messages."""
         xp = array_namespace(messages.values)
         return replace(messages, values=xp.clip(messages.values, -self.limit, self.limit)), ()
 
@@ -193,18 +204,14 @@ class Range(Channel):
 class AdditiveNoise(Channel):
     """Noise on each message: y = v + σ ξ, ξ per component.
 
-    Args:
+    Attributes:
         std: σ ≥ 0, in the units of the strategies.
-
-    Raises:
-        ValueError: when σ is negative or not finite.
     """
 
-    def __init__(self, std: float) -> None:
-        self.std = require_non_negative("std", std)
+    std: float = checked(require_non_negative)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Messages plus noise."""
+        """Add noise to the messages."""
         noise = randomness.normals()
         noise *= self.std
         noise += messages.values
@@ -212,63 +219,66 @@ class AdditiveNoise(Channel):
 
 
 class Delay(Channel):
-    """Messages that arrive some steps later, possibly overtaking each other; the receiver holds the last arrival.
+    """Messages arrive some steps later, possibly overtaking each other; the receiver holds the last arrival.
 
     The message sent in step k arrives in step k + d, with d drawn per message uniformly from ``steps``..``longest``. Of
     messages that arrive in the same step, the one sent last counts. For constant d, y_k = v_{k−d}. A link without a
     message in a step, because it is down or an earlier stage dropped the message, sends nothing; the receiver keeps
     the last arrival.
 
-    Args:
+    Attributes:
         steps: the shortest delay, ≥ 0.
         longest: the longest delay; by default ``steps``, so that the delay is constant.
-
-    Raises:
-        ValueError: when a delay is not a whole number of at least 0, or the longest is shorter than the shortest.
     """
 
-    def __init__(self, steps: int, longest: int | None = None) -> None:
-        self.steps = require_count("steps", steps, 0)
-        self.longest = require_count("longest", steps if longest is None else longest, self.steps)
-        self.is_random = self.longest > self.steps
+    steps: int = checked(require_count, 0)
+    longest: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_count("longest", self._longest, self.steps)
+
+    @cached_property
+    def _longest(self) -> int:
+        return self.steps if self.longest is None else self.longest
+
+    @cached_property
+    def is_random(self) -> bool:
+        """Whether delays differ."""
+        return self._longest > self.steps
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """The last arrivals."""
-        xp = array_namespace(messages.values)
+        """Return the last arrivals."""
+        xp, longest = array_namespace(messages.values), self._longest
         lags = xp.full(messages.live.shape, self.steps)
         if self.is_random:
-            lags += (randomness.uniforms() * (self.longest - self.steps + 1)).astype(np.int64)
+            lags += (randomness.uniforms() * (longest - self.steps + 1)).astype(np.int64)
         lags = xp.where(messages.live, lags, -1)  # a message that is not there never arrives
         if memory is None:
             held, received = messages.values, messages.live
-            past, past_lags = (messages.values,) * self.longest, (xp.full_like(lags, -1),) * self.longest
+            past, past_lags = (messages.values,) * longest, (xp.full_like(lags, -1),) * longest
         else:
             held, received, past, past_lags = memory
         # Newest first: entry d was sent d steps ago. The arrays never change, so shifting the tuples copies nothing.
         past, past_lags = (messages.values, *past), (lags, *past_lags)
-        for age in range(self.longest, self.steps - 1, -1):
+        for age in range(longest, self.steps - 1, -1):
             arrives = past_lags[age] == age
             held = xp.where(arrives[:, None], past[age], held)
             received = received | arrives
-        last = self.longest
-        return replace(messages, values=held, live=received), (held, received, past[:last], past_lags[:last])
+        return replace(messages, values=held, live=received), (held, received, past[:longest], past_lags[:longest])
 
 
 class Loss(Channel):
     """Messages are lost independently: where U < p, y is the last message received.
 
-    Args:
+    Attributes:
         probability: p in [0, 1].
-
-    Raises:
-        ValueError: when p is not a probability.
     """
 
-    def __init__(self, probability: float) -> None:
-        self.probability = require_probability("probability", probability)
+    probability: float = checked(require_probability)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Messages, with the last received in place of those lost."""
+        """Put the last message received in the place of each message that is lost."""
         return _hold(messages, randomness.uniforms() < self.probability, memory)
 
 
@@ -279,20 +289,16 @@ class BurstLoss(Channel):
     links are lost, and y is the last message received. At the start a link is bad with the stationary probability
     p/(p + r). A burst lasts 1/r steps on average.
 
-    Args:
+    Attributes:
         to_bad: p in (0, 1].
         to_good: r in (0, 1].
-
-    Raises:
-        ValueError: when a number is not a probability, or is 0.
     """
 
-    def __init__(self, to_bad: float, to_good: float) -> None:
-        self.to_bad = require_probability("to_bad", require_positive("to_bad", to_bad))
-        self.to_good = require_probability("to_good", require_positive("to_good", to_good))
+    to_bad: float = checked(require_positive_probability)
+    to_good: float = checked(require_positive_probability)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Messages, with the last received in place of those lost."""
+        """Put the last message received in the place of each message that is lost."""
         xp, turn = array_namespace(messages.values), randomness.uniforms()
         if memory is None:
             bad = turn < self.to_bad / (self.to_bad + self.to_good)
@@ -303,7 +309,7 @@ class BurstLoss(Channel):
 
 
 def _hold(messages: Messages, lost: BoolArray, memory: Memory | None) -> Transmitted:
-    """Messages, with the last received in place of those ``lost`` (D, N, B)."""
+    """Put the last message received in the place of each one that is ``lost``, (D, N, B)."""
     xp = array_namespace(messages.values)
     held, received = (messages.values, messages.live) if memory is None else memory
     arrives = messages.live & ~lost
@@ -315,21 +321,17 @@ def _hold(messages: Messages, lost: BoolArray, memory: Memory | None) -> Transmi
 class UniformQuantiser(Channel):
     """Messages are rounded to evenly spaced levels: y = Δ round(v/Δ), so |y − v| ≤ Δ/2.
 
-    Args:
+    Attributes:
         width: Δ > 0, in the units of the strategies.
-
-    Raises:
-        ValueError: when the width is not positive.
     """
 
     is_random = False
 
-    def __init__(self, width: float) -> None:
-        self.width = require_positive("width", width)
+    width: float = checked(require_positive)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Rounded messages."""
-        return replace(messages, values=rounded(messages.values / self.width) * self.width), ()
+        """Round the messages."""
+        return replace(messages, values=round_to_integers(messages.values / self.width) * self.width), ()
 
 
 class Lying(Channel):
@@ -339,18 +341,14 @@ class Lying(Channel):
     The liar sends its own strategy as it is, so the others reach the equilibrium if they do not use its estimates of
     third players.
 
-    Args:
+    Attributes:
         size: > 0, in the units of the strategies.
-
-    Raises:
-        ValueError: when the size is not positive.
     """
 
-    def __init__(self, size: float) -> None:
-        self.size = require_positive("size", size)
+    size: float = checked(require_positive)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Messages, those of the liar with its offset."""
+        """Add the offset to the messages of the liar."""
         senders, owners = randomness.senders, randomness.owners
         liar = (randomness.episode_uniforms(1) * senders.shape[1]).astype(np.int64)[0]
         offset = self.size * (2 * randomness.episode_uniforms(owners.size, purpose=1) - 1)
@@ -362,18 +360,14 @@ class Lying(Channel):
 class Bias(Channel):
     """Every directed link adds an offset of its own to each component: y = v + b, the same b in all steps.
 
-    Args:
+    Attributes:
         bound: β ≥ 0, in the units of the strategies; b ~ U(−β, β), drawn per episode.
-
-    Raises:
-        ValueError: when the bound is negative or not finite.
     """
 
-    def __init__(self, bound: float) -> None:
-        self.bound = require_non_negative("bound", bound)
+    bound: float = checked(require_non_negative)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Messages plus the offsets, which are drawn in the first step."""
+        """Add the offsets, which are drawn in the first step."""
         if memory:
             (offsets,) = memory
         else:  # the distribution function of a normal number is uniform
@@ -388,18 +382,14 @@ class HeavyTails(Channel):
     Its variance is infinite: one of 20 numbers is larger than 4.3, one of a million larger than 1000. With Φ the
     distribution function of ξ, ζ = (Φ(ξ) − Φ(−ξ)) / √(2 Φ(ξ) Φ(−ξ)).
 
-    Args:
+    Attributes:
         scale: σ ≥ 0, in the units of the strategies.
-
-    Raises:
-        ValueError: when σ is negative or not finite.
     """
 
-    def __init__(self, scale: float) -> None:
-        self.scale = require_non_negative("scale", scale)
+    scale: float = checked(require_non_negative)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Messages plus noise."""
+        """Add noise to the messages."""
         normal = randomness.normals()
         ndtr = special_functions(normal).ndtr
         below, above = ndtr(normal), ndtr(-normal)
@@ -410,20 +400,15 @@ class HeavyTails(Channel):
 class LateNoise(AdditiveNoise):
     """Noise that starts late: y = v before a step, and y = v + σ ξ from it on.
 
-    Args:
+    Attributes:
         std: σ ≥ 0, in the units of the strategies.
         step: of the first noise.
-
-    Raises:
-        ValueError: when σ is negative or not finite, or the step is not a whole number of at least 0.
     """
 
-    def __init__(self, std: float, step: int) -> None:
-        super().__init__(std)
-        self.step = require_count("step", step, 0)
+    step: int = checked(require_count, 0)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Messages, later plus noise."""
+        """Add noise to the messages from the given step on."""
         xp = array_namespace(messages.values)
         elapsed = memory[0] if memory else xp.zeros(messages.live.shape[-1])
         noisy, _ = super().transmit(messages, None, randomness)

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ptne_env.shared.arrays import FloatArray, frozen, require_count, require_non_negative, require_positive
-from ptne_env.shared.parts import Part
+from ptne_env.shared.arrays import FloatArray, freeze, require_count, require_non_negative, require_positive
+from ptne_env.shared.parts import Part, checked
 
 Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
 
@@ -18,15 +18,11 @@ Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
 class TimeTransformation(Part, ABC):
     """A function t = λ(s) of Lemma 1, from s ∈ [0, ∞) onto t ∈ [0, T).
 
-    Args:
+    Attributes:
         deadline: T in seconds, the prescribed time.
-
-    Raises:
-        ValueError: when T is not positive.
     """
 
-    def __init__(self, deadline: float) -> None:
-        self.deadline = require_positive("deadline", deadline, " (T, in seconds)")
+    deadline: float = checked(require_positive, " (T, in seconds)")
 
     @abstractmethod
     def time(self, s: npt.ArrayLike) -> FloatArray:
@@ -189,10 +185,10 @@ class StepClock:
         theta = np.diff(s) + self.gain * dt
         hold_theta = np.full(self.hold_steps, theta.mean())
         hold_dt = hold_theta / self.gain if self.hold_steps else hold_theta
-        self.t = frozen(np.concatenate([t[:-1], deadline + np.concatenate([[0.0], np.cumsum(hold_dt)])]))
-        self.s = frozen(np.concatenate([s, np.full(self.hold_steps, s[-1])]))
-        self.theta = frozen(np.concatenate([theta, hold_theta, [0.0]]))
-        self.dt = frozen(np.concatenate([dt, hold_dt, [0.0]]))
+        self.t = freeze(np.concatenate([t[:-1], deadline + np.concatenate([[0.0], np.cumsum(hold_dt)])]))
+        self.s = freeze(np.concatenate([s, np.full(self.hold_steps, s[-1])]))
+        self.theta = freeze(np.concatenate([theta, hold_theta, [0.0]]))
+        self.dt = freeze(np.concatenate([dt, hold_dt, [0.0]]))
 
     def _grid(self) -> FloatArray:
         fractions = np.linspace(0.0, 1.0, self.steps + 1)

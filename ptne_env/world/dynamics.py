@@ -22,7 +22,7 @@ from ptne_env.shared.arrays import (
     IntArray,
     array_namespace,
     is_numpy,
-    replaced,
+    replace_columns,
     without_gradient,
 )
 from ptne_env.shared.random_streams import RandomStreams
@@ -209,8 +209,8 @@ def merge(state: State, fresh: State, mask: BoolArray) -> State:
             parts = [replace(*pair) for pair in zip(old, new, strict=True)]
             return old._make(parts) if hasattr(old, "_make") else tuple(parts)
         if isinstance(old, Game):
-            return old.merged(new, mask)
-        return old if old is None or isinstance(old, bool) else replaced(old, new, mask)
+            return old.merge(new, mask)
+        return old if old is None or isinstance(old, bool) else replace_columns(old, new, mask)
 
     merged: State = replace(state, fresh)
     return merged._replace(any_diverged=bool(merged.diverged.any()))

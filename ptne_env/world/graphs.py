@@ -8,26 +8,27 @@ from typing import Any
 
 import networkx as nx
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse.csgraph import connected_components
 
-from ptne_env.shared.arrays import FloatArray, frozen, require_count
+from ptne_env.shared.arrays import FloatArray, freeze, require_count
 from ptne_env.shared.parts import Part
 
 
 class Graph(Part):
     """An undirected weighted graph on players 0..N−1.
 
-    Args:
-        adjacency: a_ij of shape (N, N), symmetric, a_ij ≥ 0, zero diagonal.
+    Attributes:
+        adjacency: a_ij, read-only, of shape (N, N), symmetric, a_ij ≥ 0, zero diagonal.
 
     Raises:
         ValueError: when the matrix is not of this form.
     """
 
-    def __init__(self, adjacency: npt.ArrayLike) -> None:
+    adjacency: FloatArray
+
+    def __post_init__(self) -> None:
         try:
-            matrix = frozen(adjacency)
+            matrix = freeze(self.adjacency)
         except (TypeError, ValueError) as error:
             raise ValueError(f"an adjacency matrix is an (N, N) table of numbers: {error}") from error
         if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] < 2:
@@ -38,7 +39,7 @@ class Graph(Part):
             raise ValueError("the graphs of the paper have no self-loops: the adjacency diagonal must be 0")
         if not np.array_equal(matrix, matrix.T):
             raise ValueError("the graphs of the paper are undirected: the adjacency matrix must be symmetric")
-        self.adjacency = matrix
+        vars(self)["adjacency"] = matrix
 
     @property
     def num_players(self) -> int:
@@ -48,7 +49,7 @@ class Graph(Part):
     @cached_property
     def laplacian(self) -> FloatArray:
         """L = diag(Σ_j a_ij) − A, shape (N, N), read-only."""
-        return frozen(np.diag(self.adjacency.sum(axis=1)) - self.adjacency)
+        return freeze(np.diag(self.adjacency.sum(axis=1)) - self.adjacency)
 
     @cached_property
     def algebraic_connectivity(self) -> float:
@@ -71,43 +72,37 @@ class Graph(Part):
         """Pairs (i, j) with i < j and a_ij > 0."""
         return [(int(i), int(j)) for i, j in np.argwhere(np.triu(self.adjacency) > 0)]
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Graph) and np.array_equal(self.adjacency, other.adjacency)
-
-    def __hash__(self) -> int:
-        return hash(self.adjacency.tobytes())
-
     def __repr__(self) -> str:
         return f"Graph(players={self.num_players}, edges={self.edges})"
 
 
 def cycle(players: int) -> Graph:
-    """The cycle 0-1-…-(N−1)-0, N ≥ 3."""
+    """Return the cycle 0-1-…-(N−1)-0, N ≥ 3."""
     return from_networkx(nx.cycle_graph(require_count("players", players, 3)))
 
 
 def path(players: int) -> Graph:
-    """The path 0-1-…-(N−1), N ≥ 2."""
+    """Return the path 0-1-…-(N−1), N ≥ 2."""
     return from_networkx(nx.path_graph(require_count("players", players, 2)))
 
 
 def star(players: int) -> Graph:
-    """Player 0 linked to every other player, N ≥ 2."""
+    """Return the graph in which player 0 is linked to every other player, N ≥ 2."""
     return from_networkx(nx.star_graph(require_count("players", players, 2) - 1))
 
 
 def complete(players: int) -> Graph:
-    """All pairs of players linked, N ≥ 2."""
+    """Return the graph in which all pairs of players are linked, N ≥ 2."""
     return from_networkx(nx.complete_graph(require_count("players", players, 2)))
 
 
 def circulant(players: int, offsets: Sequence[int]) -> Graph:
-    """Each player linked to those that are one of the ``offsets`` before or behind it on a circle, N ≥ 2."""
+    """Link each player to those that are one of the ``offsets`` before or behind it on a circle, N ≥ 2."""
     return from_networkx(nx.circulant_graph(require_count("players", players, 2), list(offsets)))
 
 
 def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:
-    """The graph with weight 1 on each listed pair of players 0..N−1.
+    """Return the graph with weight 1 on each listed pair of players 0..N−1.
 
     Raises:
         ValueError: when a pair names a player outside 0..N−1.
@@ -122,12 +117,12 @@ def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:
 
 
 def from_networkx(graph: nx.Graph[int]) -> Graph:
-    """The undirected networkx graph; see :func:`adjacency`."""
+    """Return the graph of networkx as a :class:`Graph`; see :func:`adjacency`."""
     return Graph(adjacency(graph))
 
 
 def adjacency(graph: nx.Graph[Any]) -> FloatArray:
-    """The weights a_ij of a networkx graph, (N, N); ``weight`` defaults to 1.
+    """Return the weights a_ij of a graph of networkx, (N, N); the attribute ``weight`` is 1 where it is missing.
 
     Nodes 0 to N − 1 are these players; nodes of other names are players in the order in which they were added.
     """
@@ -136,5 +131,5 @@ def adjacency(graph: nx.Graph[Any]) -> FloatArray:
 
 
 def union(graphs: Iterable[Graph]) -> Graph:
-    """The union graph: every link of any of the graphs, with the largest of its weights."""
+    """Return the union graph: every link of any of the graphs, with the largest of its weights."""
     return Graph(np.max([graph.adjacency for graph in graphs], axis=0))

@@ -30,7 +30,7 @@ _ARRAYS = {
 
 
 def _as_spec(field: str, value: Any) -> FactorySpec:
-    """The spec that a value of a field stands for."""
+    """Return the spec that a value of a field stands for."""
     if isinstance(value, FactorySpec):
         return value
     if isinstance(value, Mapping):
@@ -38,7 +38,7 @@ def _as_spec(field: str, value: Any) -> FactorySpec:
     if isinstance(value, str):
         return UNIFORM_START if (field, value) == ("start", "random") else FactorySpec.of(_target(field, value))
     if isinstance(value, Part | type | FunctionType):
-        return FactorySpec.naming(value)
+        return FactorySpec.of(value)
     if field == "topology" and type(value).__module__.startswith("networkx."):
         from ptne_env.world.graphs import adjacency
 
@@ -53,7 +53,7 @@ def _as_spec(field: str, value: Any) -> FactorySpec:
 
 
 def _target(field: str, name: str) -> str:
-    """The target that a string of a field names."""
+    """Return the target that a string of a field names."""
     known = [target.partition(":")[2] for target in PARTS if target.startswith(f"{field}:")]
     if ":" in name or name in known:
         return name if ":" in name else f"{field}:{name}"
@@ -69,7 +69,7 @@ class Scenario:
     ``topology``, ``start``, ``transformation``, ``channel`` and ``disturbance`` accept a
     :class:`~ptne_env.shared.parts.FactorySpec`, the id of a part, whole or without its kind (``game="energy"``), a
     ``"module:object"`` string, or the part itself (``game=MyGame(2.0)``), its class or a function that makes it, and
-    hold a FactorySpec afterwards, which :meth:`~ptne_env.shared.parts.FactorySpec.naming` explains.
+    hold a FactorySpec afterwards, which :meth:`~ptne_env.shared.parts.FactorySpec.of` explains.
 
     Attributes:
         name: for tables and files.
@@ -124,7 +124,7 @@ class Scenario:
                 object.__setattr__(self, field, _as_spec(field, value))
 
     def replace(self, **changes: Any) -> Scenario:
-        """A copy with some fields changed.
+        """Return a copy with some fields changed.
 
         Raises:
             ValueError: when a key is not a field, naming the fields.
@@ -136,13 +136,13 @@ class Scenario:
         return dataclasses.replace(self, **changes) if changes else self
 
     def to_dict(self) -> dict[str, Any]:
-        """A JSON object with one entry per field."""
+        """Return a JSON object with one entry per field."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {name: value.to_dict() if isinstance(value, FactorySpec) else value for name, value in values.items()}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Scenario:
-        """The inverse of :meth:`to_dict`.
+        """Make a scenario from a JSON object, the inverse of :meth:`to_dict`.
 
         Raises:
             ValueError: when a key is unknown or missing, or a value is of another kind.

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
-from ptne_env.shared.arrays import FloatArray, frozen
+from ptne_env.shared.arrays import FloatArray, freeze
 from ptne_env.shared.parts import Part
 
 
 class Start(Part, ABC):
     """The distribution of the initial estimates."""
 
-    is_random: bool = False
+    is_random: ClassVar[bool] = False
     """Whether two draws differ."""
 
     @abstractmethod
     def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:
-        """Initial estimates of one environment, shape (n, N): column i is x^i(0).
+        """Return the initial estimates of one environment, shape (n, N); column i is x^i(0).
 
         Raises:
             ValueError: when the start is for another number of players or another dimension.
@@ -29,49 +31,60 @@ class Start(Part, ABC):
 class UniformStart(Start):
     """Independent entries x^i_j(0) ~ U(low, high).
 
+    Attributes:
+        low: the smallest estimate.
+        high: the largest.
+
     Raises:
         ValueError: unless low < high, both finite.
     """
 
     is_random = True
 
-    def __init__(self, low: float = -20.0, high: float = 20.0) -> None:
-        if not (np.isfinite(low) and np.isfinite(high) and low < high):
-            raise ValueError(f"UniformStart needs finite low < high, got {low!r} and {high!r}")
-        self.low, self.high = float(low), float(high)
+    low: float = -20.0
+    high: float = 20.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
+            raise ValueError(f"UniformStart needs finite low < high, got {self.low!r} and {self.high!r}")
 
     def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:
-        """Drawn estimates, shape (n, N)."""
+        """Draw the estimates, shape (n, N)."""
         return generator.uniform(self.low, self.high, size=(dimension, num_players))
 
 
 class FixedStart(Start):
     """The same estimates in every episode.
 
-    Args:
+    Attributes:
         estimates: one row per player, the row of player i being x^i(0); shape (N, n).
 
     Raises:
         ValueError: when the rows are not finite numbers of one length.
     """
 
-    def __init__(self, estimates: Sequence[Sequence[float]]) -> None:
+    estimates: npt.ArrayLike
+
+    def __post_init__(self) -> None:
         try:
-            rows = np.asarray(estimates, dtype=np.float64)
+            rows = self._rows
         except ValueError as error:
             raise ValueError(f"FixedStart needs rows of numbers of one length: {error}") from error
         if rows.ndim != 2 or not np.all(np.isfinite(rows)):
             raise ValueError(f"FixedStart needs a finite (N, n) table, got the shape {rows.shape}")
-        self.estimates = frozen(rows.T)
+
+    @cached_property
+    def _rows(self) -> FloatArray:
+        return freeze(self.estimates)
 
     def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:  # noqa: ARG002
-        """The fixed estimates, shape (n, N)."""
-        if self.estimates.shape != (dimension, num_players):
+        """Return the fixed estimates, shape (n, N)."""
+        if self._rows.shape != (num_players, dimension):
             raise ValueError(
-                f"this start is for {self.estimates.shape[1]} players and dimension {self.estimates.shape[0]}, "
-                f"the game has {num_players} and {dimension}; choose start='random' or another table"
+                f"this start is for {self._rows.shape[0]} players and dimension {self._rows.shape[1]}, the game has "
+                f"{num_players} and {dimension}; choose start='random' or another table"
             )
-        return self.estimates.copy()
+        return self._rows.T.copy()
 
 
 class PaperStart(Start):
@@ -81,7 +94,7 @@ class PaperStart(Start):
     """
 
     def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:  # noqa: ARG002
-        """The table, shape (N, N)."""
+        """Return the table, shape (N, N)."""
         if dimension != num_players:
             raise ValueError(
                 f"the paper's start is for one component per player, the game has {num_players} players and "

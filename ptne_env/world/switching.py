@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, TypeAlias
+from typing import ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.shared.arrays import FloatArray, IntArray, require_count, require_positive, require_probability
+from ptne_env.shared.arrays import FloatArray, IntArray, require_count, require_positive, require_positive_probability
 from ptne_env.shared.parts import Part
 from ptne_env.world.graphs import Graph, from_edges, union
 
@@ -43,9 +43,9 @@ class SwitchingTopology(Part):
     Dwell times are in the unit of the topology's clock. On the ``physical`` clock (t, the paper's) only finitely many
     switches happen before the deadline; on the ``transformed`` clock (s) infinitely many do (docs/errata.md, 2).
 
-    Args:
+    Attributes:
         graphs: the modes, in order, all on the same players.
-        dwells: dwell time of each mode, in seconds of t or in units of s; ``None`` for one fixed graph.
+        dwells: dwell time of each mode, in seconds of t or in units of s; none for one fixed graph.
         clock: ``"physical"`` or ``"transformed"``.
 
     Raises:
@@ -53,25 +53,27 @@ class SwitchingTopology(Part):
             unknown.
     """
 
-    is_random: bool = False
+    is_random: ClassVar[bool] = False
     """Whether every episode draws its own schedule."""
 
-    def __init__(
-        self, graphs: Sequence[Graph], dwells: Sequence[float] | None = None, clock: TopologyClock = "physical"
-    ) -> None:
-        if clock not in ("physical", "transformed"):
-            raise ValueError(f"a topology's clock is 'physical' or 'transformed', got {clock!r}")
-        if not graphs or len({graph.num_players for graph in graphs}) != 1:
+    graphs: Sequence[Graph]
+    dwells: float | Sequence[float] = ()
+    clock: TopologyClock = "physical"
+
+    def __post_init__(self) -> None:
+        if self.clock not in get_args(TopologyClock):
+            raise ValueError(f"a topology's clock is 'physical' or 'transformed', got {self.clock!r}")
+        if not self.graphs or len({graph.num_players for graph in self.graphs}) != 1:
             raise ValueError("a topology needs at least one graph, all with the same number of players")
-        if dwells is None and len(graphs) > 1:
-            raise ValueError("a topology with several graphs needs their dwell times")
-        if dwells is not None and len(dwells) != len(graphs):
-            raise ValueError(f"a topology needs one dwell time per graph, got {len(dwells)} for {len(graphs)} graphs")
-        self.graphs = tuple(graphs)
-        self.clock: TopologyClock = clock
-        self.dwells = (
-            tuple(require_positive("a dwell time", dwell) for dwell in dwells or ()) if len(graphs) > 1 else ()
-        )
+        _ = self.mode_dwells
+
+    @cached_property
+    def mode_dwells(self) -> tuple[float, ...]:
+        """Mean dwell time of each mode, in the unit of the clock; none where the graph never changes."""
+        dwells, modes = self.dwells, len(self.graphs)
+        if not isinstance(dwells, Sequence) or (len(dwells) != modes and (dwells or modes > 1)):
+            raise ValueError(f"dwell times of a topology: one dwell time per graph, got {dwells!r} for {modes} graphs")
+        return tuple(require_positive("a dwell time", dwell) for dwell in dwells) if modes > 1 else ()
 
     @property
     def is_fixed(self) -> bool:
@@ -96,12 +98,12 @@ class SwitchingTopology(Part):
     @property
     def shortest_dwell(self) -> float:
         """The shortest time between switches, in the unit of the clock; infinite when fixed."""
-        return min(self.dwells, default=float("inf"))
+        return min(self.mode_dwells, default=float("inf"))
 
     @property
     def period(self) -> float:
         """Sum of the dwell times, in the unit of the clock; infinite when fixed."""
-        return float(sum(self.dwells)) if self.dwells else float("inf")
+        return float(sum(self.mode_dwells)) if self.mode_dwells else float("inf")
 
     @property
     def mean_dwell(self) -> float:
@@ -109,7 +111,7 @@ class SwitchingTopology(Part):
         return self.period / len(self.graphs)
 
     def schedule(self, instants: npt.ArrayLike) -> Schedule:
-        """The schedule at ``instants`` (any shape) of the topology's clock.
+        """Return the schedule at ``instants`` (any shape) of the topology's clock.
 
         Raises:
             ValueError: when an instant is negative, or every episode draws its own schedule.
@@ -118,9 +120,9 @@ class SwitchingTopology(Part):
         times = _instants(instants)
         if self.is_fixed:
             return Schedule(np.zeros(times.shape, dtype=np.int64), np.zeros(times.shape))
-        ends = np.cumsum(self.dwells)
+        ends = np.cumsum(self.mode_dwells)
         phase = np.mod(times, self.period)
-        slack = _BOUNDARY_TOLERANCE * min(self.dwells)
+        slack = _BOUNDARY_TOLERANCE * self.shortest_dwell
         wraps = phase >= self.period - slack
         phase = np.where(wraps, 0.0, phase)
         modes = np.searchsorted(ends, phase + slack, side="right").astype(np.int64)
@@ -128,7 +130,7 @@ class SwitchingTopology(Part):
         return Schedule(modes, np.clip((phase - starts[modes]) / self.mean_dwell, 0.0, 1.0))
 
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
-        """The schedules of B episodes at increasing ``instants`` (K,) of the clock; arrays of shape (K, B).
+        """Draw the schedules of B episodes at increasing ``instants`` (K,) of the clock; arrays of shape (K, B).
 
         Args:
             instants: of the clock, from 0 on.
@@ -143,7 +145,7 @@ class SwitchingTopology(Part):
         )
 
     def switches(self, start: float, end: float) -> FloatArray:
-        """The switching instants in the open interval (start, end), in the unit of the clock.
+        """Return the switching instants in the open interval (start, end), in the unit of the clock.
 
         Raises:
             ValueError: when every episode draws its own.
@@ -152,8 +154,8 @@ class SwitchingTopology(Part):
         if self.is_fixed:
             return np.empty(0)
         periods = np.arange(np.floor(start / self.period), np.floor(end / self.period) + 1)
-        instants = (periods[:, None] * self.period + np.cumsum(self.dwells)).ravel()
-        slack = _BOUNDARY_TOLERANCE * min(self.dwells)
+        instants = (periods[:, None] * self.period + np.cumsum(self.mode_dwells)).ravel()
+        slack = _BOUNDARY_TOLERANCE * self.shortest_dwell
         return instants[(instants > start + slack) & (instants < end - slack)]
 
     def _require_certain(self, wanted: str) -> None:
@@ -168,13 +170,10 @@ class RandomTopology(SwitchingTopology):
 
     The same graph may follow itself, which counts as a switch.
 
-    Args:
+    Attributes:
         graphs: the pool, at least two, all on the same players.
         dwells: a dwell time or a range (shortest, longest).
         clock: ``"physical"`` or ``"transformed"``.
-
-    Attributes:
-        shortest, longest: range of the dwells, in the unit of the clock.
 
     Raises:
         ValueError: when these do not hold, or as :class:`SwitchingTopology`.
@@ -182,31 +181,43 @@ class RandomTopology(SwitchingTopology):
 
     is_random = True
 
-    def __init__(self, graphs: Sequence[Graph], dwells: Dwells, clock: TopologyClock = "physical") -> None:
-        bounds = dwells if isinstance(dwells, Sequence) else (dwells, dwells)
-        if len(bounds) != 2:
-            raise ValueError(f"dwells are a time or a range (shortest, longest), got {dwells!r}")
-        self.shortest, self.longest = (require_positive("a dwell time", bound) for bound in bounds)
-        if self.shortest > self.longest:
-            raise ValueError(f"the shortest dwell comes first, got the range {tuple(bounds)!r}")
-        super().__init__(graphs, [(self.shortest + self.longest) / 2] * len(graphs), clock)
+    dwells: Dwells
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.graphs) < 2:
             raise ValueError("a random topology needs at least two graphs; use fixed() for one")
+
+    @cached_property
+    def dwell_range(self) -> tuple[float, float]:
+        """The shortest and the longest dwell."""
+        bounds = self.dwells if isinstance(self.dwells, Sequence) else (self.dwells, self.dwells)
+        if len(bounds) != 2:
+            raise ValueError(f"dwells are a time or a range (shortest, longest), got {self.dwells!r}")
+        shortest, longest = (require_positive("a dwell time", bound) for bound in bounds)
+        if shortest > longest:
+            raise ValueError(f"the shortest dwell comes first, got the range {tuple(bounds)!r}")
+        return shortest, longest
+
+    @cached_property
+    def mode_dwells(self) -> tuple[float, ...]:
+        """The mean of the range for each graph."""
+        return (sum(self.dwell_range) / 2,) * len(self.graphs)
 
     @property
     def shortest_dwell(self) -> float:
         """The shortest dwell that can be drawn."""
-        return self.shortest
+        return self.dwell_range[0]
 
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
-        """The schedules of B episodes, one per generator; see :meth:`SwitchingTopology.draw`."""
-        times = _instants(instants)
+        """Draw the schedules of B episodes, one per generator; see :meth:`SwitchingTopology.draw`."""
+        times, (shortest, longest) = _instants(instants), self.dwell_range
         # The largest possible number of dwells, so that the draws depend on the episode's length alone.
-        count = int(np.max(times, initial=0.0) / self.shortest) + 2
+        count = int(np.max(times, initial=0.0) / shortest) + 2
         choices, unit = np.stack([generator.random((2, count)) for generator in generators], axis=-1)
-        ends = np.cumsum(self.shortest + (self.longest - self.shortest) * unit, axis=0)
+        ends = np.cumsum(shortest + (longest - shortest) * unit, axis=0)
         drawn = (choices * len(self.graphs)).astype(np.int64)
-        slack = _BOUNDARY_TOLERANCE * self.shortest
+        slack = _BOUNDARY_TOLERANCE * shortest
         modes = np.broadcast_to(drawn[0], (times.size, len(generators))).copy()
         starts = np.zeros(modes.shape)
         for dwell, end in enumerate(ends[:-1], 1):
@@ -222,7 +233,7 @@ class RandomTopology(SwitchingTopology):
 class EpisodeTopology(SwitchingTopology):
     """A topology that draws one graph for a whole episode, uniformly from a pool, and never switches within it.
 
-    Args:
+    Attributes:
         graphs: the pool, at least two, all on the same players.
 
     Raises:
@@ -230,12 +241,15 @@ class EpisodeTopology(SwitchingTopology):
     """
 
     is_random = True
+    mode_dwells = ()
 
-    def __init__(self, graphs: Sequence[Graph]) -> None:
-        if len(graphs) < 2:
+    dwells: ClassVar[tuple[float, ...]] = ()  # type: ignore[misc]  # it has no switches, so it takes no such argument
+    clock: ClassVar[TopologyClock] = "physical"  # type: ignore[misc]  # likewise
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.graphs) < 2:
             raise ValueError("a topology that draws its graph needs at least two graphs; use fixed() for one")
-        super().__init__(graphs, [1.0] * len(graphs))
-        self.dwells = ()
 
     @property
     def is_jointly_connected(self) -> bool:
@@ -243,21 +257,21 @@ class EpisodeTopology(SwitchingTopology):
         return all(graph.is_connected for graph in self.graphs)
 
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
-        """The schedules of B episodes: the graph drawn by each generator at all ``instants`` (K,)."""
+        """Draw one graph per generator, which acts at all ``instants`` (K,)."""
         shape = (np.size(instants), len(generators))
         modes = np.array([generator.integers(len(self.graphs)) for generator in generators], dtype=np.int64)
         return Schedule(np.broadcast_to(modes, shape).copy(), np.zeros(shape))
 
 
 def fixed(graph: Graph) -> SwitchingTopology:
-    """The topology that never switches."""
+    """Return the topology that never switches."""
     return SwitchingTopology([graph])
 
 
 def random_edges(
     graph: Graph, probability: float, dwells: Dwells, modes: int = 32, seed: int = 0, clock: TopologyClock = "physical"
 ) -> SwitchingTopology:
-    """The topology in which each link of ``graph`` is up or down at random in every dwell.
+    """Return the topology in which each link of ``graph`` is up or down at random in every dwell.
 
     Every dwell draws uniformly from a pool of ``modes`` graphs, in each of which every link is up with ``probability``
     independently. The pool is a function of the arguments, so it belongs to the scenario and is the same in every
@@ -274,7 +288,7 @@ def random_edges(
     Raises:
         ValueError: when the probability is not in (0, 1], or as :class:`RandomTopology`.
     """
-    require_probability("probability", require_positive("probability", probability))
+    require_positive_probability("probability", probability)
     count = require_count("modes", modes, 2)
     links = np.array(graph.edges).reshape(-1, 2)
     up = np.random.default_rng(require_count("seed", seed, 0)).random((count, len(links))) < probability
@@ -288,7 +302,7 @@ def random_edges(
 
 
 def random_graphs(players: int, probability: float, modes: int = 100, seed: int = 0) -> SwitchingTopology:
-    """The topology that draws a connected random graph for every episode and keeps it throughout.
+    """Return the topology that draws a connected random graph for every episode and keeps it throughout.
 
     Graphs come from a pool: the connected ones among graphs of Erdős and Rényi, which link every pair of players with
     ``probability``. The pool is a function of the arguments, so it belongs to the scenario and is the same in every
@@ -303,7 +317,7 @@ def random_graphs(players: int, probability: float, modes: int = 100, seed: int 
     Raises:
         ValueError: when the probability is not in (0, 1], or so small that hardly any graph is connected.
     """
-    require_probability("probability", require_positive("probability", probability))
+    require_positive_probability("probability", probability)
     count = require_count("modes", modes, 2)
     i, j = np.triu_indices(require_count("players", players, 2), 1)
     generator = np.random.default_rng(require_count("seed", seed, 0))
@@ -319,7 +333,7 @@ def random_graphs(players: int, probability: float, modes: int = 100, seed: int 
 
 
 def paper_topology(dwell: float = 0.1, clock: TopologyClock = "physical") -> SwitchingTopology:
-    """The paper's eq. (50): four disconnected modes of ``dwell`` each, Γ = 4·dwell = 0.4 s.
+    """Return the topology of the paper's eq. (50): four disconnected modes of ``dwell`` each, Γ = 4·dwell = 0.4 s.
 
     The paper's figure of the modes is not available; ours are the pairs {12, 34}, {23, 45}, {34, 51}, {45, 12} of edges
     of the 5-cycle (players 1..5), whose union is the cycle.

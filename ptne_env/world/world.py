@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.games import Game, GameFamily, SingleGame, require_strong_monotonicity
-from ptne_env.shared.arrays import FloatArray, IntArray, frozen, require_count, require_positive
+from ptne_env.games import Game, GameFamily, require_strong_monotonicity
+from ptne_env.shared.arrays import FloatArray, IntArray, freeze, require_count, require_positive
 from ptne_env.shared.counter_random import CounterArray
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.shared.random_streams import RandomStreams
@@ -66,7 +66,7 @@ class World:
 
     Attributes:
         scenario: the same scenario.
-        game_family: draws the game of an episode; a :class:`~ptne_env.games.SingleGame` where all episodes play one.
+        game_family: draws the game of an episode; a game itself where all episodes play one.
         game: the game, or a typical member of the family; states hold the games that are played.
         topology, start, clock, channel: the other parts.
         disturbance: of the velocities; ``None`` where there is none.
@@ -98,16 +98,9 @@ class World:
             spacing=scenario.spacing,
             hold_steps=scenario.hold_steps,
         )
-        built = scenario.game.build()
-        if isinstance(built, Game):
-            built = SingleGame(built)
-        self.game_family: GameFamily = self._require(built, scenario.game, GameFamily, "Game or GameFamily")
-        links = scenario.topology.build()
-        if isinstance(links, Graph):
-            links = fixed(links)
-        self.topology: SwitchingTopology = self._require(
-            links, scenario.topology, SwitchingTopology, "SwitchingTopology or Graph"
-        )
+        self.game_family: Game | GameFamily = self._build(scenario.game, Game, GameFamily)
+        links: Graph | SwitchingTopology = self._build(scenario.topology, SwitchingTopology, Graph)
+        self.topology = fixed(links) if isinstance(links, Graph) else links
         self.start: Start = self._build(scenario.start, Start)
         self.channel: Channel = self._build(scenario.channel, Channel)
         self.message_range = np.inf
@@ -143,7 +136,7 @@ class World:
     @property
     def has_random_game(self) -> bool:
         """Whether episodes play different games."""
-        return not isinstance(self.game_family, SingleGame)
+        return isinstance(self.game_family, GameFamily)
 
     @property
     def has_episode_randomness(self) -> bool:
@@ -162,8 +155,9 @@ class World:
         Raises:
             ValueError: when a drawn game is not strongly monotone, unless the family declares this.
         """
-        game = self.game_family.draw([stream.game for stream in streams])
-        if self.has_random_game and self.game_family.is_strongly_monotone is None:
+        family = self.game_family
+        game = family.draw([stream.game for stream in streams])
+        if isinstance(family, GameFamily) and family.is_strongly_monotone is None:
             require_strong_monotonicity(game)
         return game
 
@@ -194,16 +188,15 @@ class World:
             first_rows + np.arange(self.game.num_players), first_rows[None] + self.neighbours[:, None, :]
         )
 
-    def _build(self, factory: FactorySpec, kind: type[Any], **extra: Any) -> Any:
-        return self._require(factory.build(**extra), factory, kind, kind.__name__)
-
-    def _require(self, built: Any, factory: FactorySpec, kind: type[Any], wanted: str) -> Any:
-        if not isinstance(built, kind):
+    def _build(self, spec: FactorySpec, *kinds: type[Any], **extra: Any) -> Any:
+        part = spec.build(**extra)
+        if not isinstance(part, kinds):
+            wanted = " or ".join(kind.__name__ for kind in kinds)
             raise ValueError(
-                f"scenario {self.scenario.name!r}: {factory.target!r} built a {type(built).__name__} where a {wanted} "
-                "is needed"
+                f"scenario {self.scenario.name!r}: {spec.target!r} built a {type(part).__name__} where a {wanted} is "
+                "needed"
             )
-        return built
+        return part
 
     def _check_topology(self) -> None:
         name, topology = self.scenario.name, self.topology
@@ -254,7 +247,7 @@ class World:
         for player, row in enumerate(union.adjacency):
             others = np.flatnonzero(row)
             self.neighbours[: others.size, player] = others
-        self.mode_weights = frozen(
+        self.mode_weights = freeze(
             np.stack([graph.adjacency[np.arange(players), self.neighbours] for graph in self.topology.graphs], axis=-1)
         )
         self.has_constant_weights = self.topology.is_fixed and self.channel.is_perfect

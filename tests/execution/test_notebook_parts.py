@@ -5,6 +5,7 @@ from processes import run_python
 DEFINITIONS = """
 import numpy as np
 
+from functools import cached_property
 from pathlib import Path
 from ptne_env import FactorySpec, PolicySpec, evaluate, get_scenario, laws
 from ptne_env.evaluation import METRICS
@@ -15,8 +16,12 @@ SCALE = 1.0
 
 
 class Contest(AffineGame):
-    def __init__(self, pull=0.5):
-        super().__init__(SCALE * (np.eye(5) - pull / 4 * (1 - np.eye(5))), -np.arange(5.0))
+    pull: float = 0.5
+    offset = -np.arange(5.0)
+
+    @cached_property
+    def matrix(self):
+        return SCALE * (np.eye(5) - self.pull / 4 * (1 - np.eye(5)))
 
 
 class Mine(laws.Static):
@@ -35,12 +40,12 @@ def run(jobs=1):
 SAME = """
 first = run()
 assert run(jobs=2) == first
-Contest.__init__.__defaults__ = (0.5,)
 
 
 class Contest(Contest):
-    def __init__(self, pull=0.5):
-        super().__init__(2 * pull)
+    @cached_property
+    def matrix(self):
+        return SCALE * (np.eye(5) - 2 * self.pull / 4 * (1 - np.eye(5)))
 
 
 again = run(jobs=2)
@@ -54,9 +59,9 @@ LOCK = threading.Lock()
 
 
 class Contest(Contest):
-    def __init__(self, pull):
+    def __post_init__(self):
         with LOCK:
-            super().__init__(pull)
+            super().__post_init__()
 
 
 try:

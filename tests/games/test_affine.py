@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from sample_games import generators
 
-from ptne_env.games import AffineGame, NoBestResponseError, RandomAffine, require_strong_monotonicity
+from ptne_env.games import NoBestResponseError, QuadraticGame, RandomAffine, require_strong_monotonicity
 
 
 def skew_part(game):
-    return (game.matrix - game.matrix.transpose(1, 0, 2)) / 2
+    return (game.matrices - game.matrices.transpose(1, 0, 2)) / 2
 
 
 @pytest.mark.parametrize(
@@ -16,7 +16,7 @@ def test_epsilon_spread_and_asymmetry_are_exact(epsilon, asymmetry, action_dim):
     family = RandomAffine(players=4, epsilon=epsilon, asymmetry=asymmetry, spread=1.5, action_dim=action_dim)
     games = family.draw(generators(range(30)))
     require_strong_monotonicity(games)
-    matrices = np.moveaxis(games.matrix, 2, 0)
+    matrices = np.moveaxis(games.matrices, 2, 0)
     eigenvalues = np.linalg.eigvalsh((matrices + matrices.transpose(0, 2, 1)) / 2)
     assert eigenvalues[:, 0] == pytest.approx(np.full(30, epsilon), abs=1e-12)
     assert epsilon < eigenvalues[:, -1].min() <= eigenvalues[:, -1].max() <= epsilon + 1.5 + 1e-12
@@ -41,11 +41,11 @@ def test_bounds_hold_about_half_of_the_components():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: AffineGame(np.eye(3), [1.0, 2.0]), r"matrix is \(2, 2\)"),
-        (lambda: AffineGame(np.eye(2), [1.0, 2.0], (1, 2)), r"matrix is \(3, 3\)"),
-        (lambda: AffineGame([[1.0, 1.0, 0], [0.0, 1.0, 0], [0, 0, 1]], np.ones(3), (2, 1)), "A_ii is not symmetric"),
-        (lambda: AffineGame(-np.eye(2), [1.0, 2.0]), "not convex in x_i"),
-        (lambda: AffineGame(np.eye(2), [1.0, 2.0], low=np.zeros((2, 3)), high=1.0), r"shape \(2, 3\); give one"),
+        (lambda: QuadraticGame(np.eye(3), [1.0, 2.0]), r"matrix is \(2, 2\)"),
+        (lambda: QuadraticGame(np.eye(2), [1.0, 2.0], (1, 2)), r"matrix is \(3, 3\)"),
+        (lambda: QuadraticGame([[1.0, 1.0, 0], [0.0, 1.0, 0], [0, 0, 1]], np.ones(3), (2, 1)), "A_ii is not symmetric"),
+        (lambda: QuadraticGame(-np.eye(2), [1.0, 2.0]), "not convex in x_i"),
+        (lambda: QuadraticGame(np.eye(2), [1.0, 2.0], low=np.zeros((2, 3)), high=1.0), r"shape \(2, 3\); give one"),
         (lambda: RandomAffine(epsilon=0.0, asymmetry=0.0), "epsilon must be a finite number above 0"),
         (lambda: RandomAffine(asymmetry=-1.0), "asymmetry must be a finite number of at least 0"),
         (lambda: RandomAffine(players=1), "players must be a whole number of at least 2"),
@@ -58,7 +58,7 @@ def test_invalid_games_are_refused(build, message):
 
 
 def test_a_flat_cost_has_no_best_response():
-    game = AffineGame([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0], low=-2.0, high=3.0)
+    game = QuadraticGame([[0.0, 1.0], [-1.0, 0.0]], [-1.0, 1.0], low=-2.0, high=3.0)
     assert not game.has_best_response
     with pytest.raises(NoBestResponseError, match="flat direction"):
         game.best_response(np.zeros((2, 1)))
@@ -67,4 +67,4 @@ def test_a_flat_cost_has_no_best_response():
 
 def test_singular_game_has_no_single_equilibrium():
     with pytest.raises(ArithmeticError, match="no single Nash equilibrium"):
-        _ = AffineGame(np.ones((2, 2)), [1.0, 2.0]).nash_equilibria
+        _ = QuadraticGame(np.ones((2, 2)), [1.0, 2.0]).nash_equilibria

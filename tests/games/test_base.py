@@ -54,8 +54,7 @@ def test_bad_dimensions_are_refused(dims):
 class Vanishing(Game):
     """F = e^x, which has no zero but underflows."""
 
-    def __init__(self):
-        super().__init__((1, 1))
+    action_dims = (1, 1)
 
     def costs(self, strategies):
         return np.exp(strategies)

@@ -14,9 +14,8 @@ from ptne_env.world.world import World
 class BoxedEnergy(EnergyGame):
     """The energy game in a box, solved by the base class."""
 
-    def __init__(self, low=None, high=None):
-        super().__init__()
-        Game.__init__(self, (1,) * 5, low, high)
+    low: object = None
+    high: object = None
 
     def best_response(self, strategies):
         return self.project(super().best_response(strategies))
@@ -28,8 +27,8 @@ class BoxedEnergy(EnergyGame):
 class NarrowLog(Game):
     """J_i = x_i² − log(x_i), undefined at x_i ≤ 0, close to the box."""
 
-    def __init__(self):
-        super().__init__((1, 1), low=0.001, high=0.05)
+    action_dims = (1, 1)
+    low, high = 0.001, 0.05
 
     def costs(self, strategies):
         if np.any(strategies <= 0):
@@ -49,15 +48,15 @@ class NarrowLog(Game):
 )
 def test_empty_or_misshapen_boxes_are_refused(low, high):
     with pytest.raises(ValueError, match=r"low < high|give one number for all"):
-        BoxedEnergy(low, high)
+        BoxedEnergy(low=low, high=high)
 
 
 def test_one_bound_is_enough_and_the_other_is_infinite():
     game = BoxedEnergy(low=5.0)
     assert game.has_bounds
-    assert game.high.tolist() == [[np.inf]] * 5
+    assert game.box[1].tolist() == [[np.inf]] * 5
     matrix = game.jacobian(np.zeros((5, 1)))[1:, :, 0]
-    rest = np.linalg.solve(matrix[:, 1:], 2 * game.target[1:, 0] - 10 - matrix[:, 0] * 5.0)
+    rest = np.linalg.solve(matrix[:, 1:], 2 * game.targets[1:, 0] - 10 - matrix[:, 0] * 5.0)
     assert game.nash_equilibrium == pytest.approx([5.0, *rest], abs=1e-12)
     assert game.held_at_equilibrium[:, 0].tolist() == [True, False, False, False, False]
 
@@ -80,14 +79,16 @@ def test_growth_is_checked_in_unbounded_directions():
     class Falling(BlockGame):
         """The first player's cost is unbounded below along its first component."""
 
+        low: object = None
+        high: object = None
+
         def costs(self, strategies):
             return super().costs(strategies) - np.eye(3)[:, :1] * 1e6 * strategies[0]
 
     assert check_game(Falling()).radially_unbounded == (False, True, True)
     for low, high, expected in [(-2.0, None, False), (None, 2.0, True), (-2.0, 2.0, True)]:
-        game = Falling()
-        game.low, game.high = np.full((6, 1), -np.inf), np.full((6, 1), np.inf)
-        game.low[0], game.high[0] = -np.inf if low is None else low, np.inf if high is None else high
+        free = (np.inf,) * 5
+        game = Falling(low=(-np.inf if low is None else low, *np.negative(free)), high=(high or np.inf, *free))
         assert check_game(game).radially_unbounded[0] == expected
 
 

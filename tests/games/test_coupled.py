@@ -16,7 +16,7 @@ from ptne_env.games import (
     NonQuadraticGame,
     RandomAffine,
     RandomEnergy,
-    priced,
+    price_constraint,
 )
 
 PLAYERS = 5
@@ -25,7 +25,7 @@ PLAYERS = 5
 def parts_of(game, lines):
     """F's matrix and offset of the players, C and b of one priced game."""
     n = game.dimension - lines
-    matrix, offset = game.matrix[..., 0], game.offset[:, 0]
+    matrix, offset = game.matrices[..., 0], game.offsets[:, 0]
     return matrix[:n, :n], offset[:n], -matrix[n:, :n], offset[n:]
 
 
@@ -56,8 +56,8 @@ def test_equilibrium_in_a_half_space_has_a_closed_form():
     limit = free.sum() - 10.0
     price = 10.0 / np.linalg.solve(matrix, np.ones(5)).sum()
     expected = [*(free - price * np.linalg.solve(matrix, np.ones(5))), price]
-    assert priced(game, row, [limit]).nash_equilibrium == pytest.approx(expected, abs=1e-10)
-    assert priced(game, row, [limit + 20.0]).nash_equilibrium == pytest.approx([*free, 0.0], abs=1e-10)
+    assert price_constraint(game, row, [limit]).nash_equilibrium == pytest.approx(expected, abs=1e-10)
+    assert price_constraint(game, row, [limit + 20.0]).nash_equilibrium == pytest.approx([*free, 0.0], abs=1e-10)
 
 
 def test_constraint_is_active_in_most_draws():
@@ -71,10 +71,10 @@ def test_bounds_of_the_players_stay():
     game = NetworkedCournot()
     rows = np.ones((1, game.dimension))
     limit = 0.8 * game.nash_equilibrium.sum()
-    shared = priced(game, rows, [limit])
-    assert np.array_equal(shared.low[:-1], game.low)
-    assert np.array_equal(shared.high[:-1], game.high)
-    assert (shared.low[-1, 0], shared.high[-1, 0]) == (0.0, np.inf)
+    shared = price_constraint(game, rows, [limit])
+    assert np.array_equal(shared.box[0][:-1], game.box[0])
+    assert np.array_equal(shared.box[1][:-1], game.box[1])
+    assert (shared.box[0][-1, 0], shared.box[1][-1, 0]) == (0.0, np.inf)
     assert shared.nash_equilibrium[:-1].sum() == pytest.approx(limit)
 
 
@@ -126,4 +126,4 @@ def test_wrong_arguments_of_the_family_are_named(arguments, message):
 @pytest.mark.parametrize(("rows", "limit"), [(np.ones((1, 4)), [1.0]), (np.ones((1, 5)), [1.0, 2.0])])
 def test_constraints_of_another_shape_are_refused(rows, limit):
     with pytest.raises(ValueError, match=r"constraint is \(m, 5\) and limit \(m,\)"):
-        priced(EnergyGame(), rows, limit)
+        price_constraint(EnergyGame(), rows, limit)

@@ -24,7 +24,7 @@ def test_equilibrium_is_that_of_the_paper():
 
 @given(energy_games())
 def test_equilibrium_agrees_with_an_independent_linear_solver(game):
-    a, b, c, d = game.curvature[:, 0], game.target[:, 0], game.coupling, game.base_price
+    a, b, c, d = game.curvatures[:, 0], game.targets[:, 0], game.couplings, game.base_price
     players = a.size
     system = np.diag(2 * a + c) + c * np.ones((players, players))
     assert game.nash_equilibrium == pytest.approx(np.linalg.solve(system, 2 * a * b - d), abs=1e-10, rel=1e-10)

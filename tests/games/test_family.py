@@ -11,7 +11,6 @@ from ptne_env.games import (
     RandomAffine,
     RandomEnergy,
     RandomSaturating,
-    SingleGame,
     require_strong_monotonicity,
 )
 from ptne_env.shared.random_streams import RandomStreams
@@ -86,11 +85,11 @@ def test_batch_of_games_has_no_single_equilibrium():
 def test_merged_replaces_the_masked_games_in_a_copy(family):
     old, fresh, expected = (family.draw(generators(seeds)) for seeds in (range(5), [10, 11], [0, 10, 2, 3, 11]))
     kept = [values.copy() for values in (*parameters(old), *parameters(fresh))]
-    merged = old.merged(fresh, np.array([False, True, False, False, True]))
+    merged = old.merge(fresh, np.array([False, True, False, False, True]))
     assert same_games(merged, expected)
     assert np.array_equal(merged.nash_equilibria, expected.nash_equilibria)
     assert all(map(np.array_equal, kept, (*parameters(old), *parameters(fresh))))
-    assert old.merged(old, np.ones(5, dtype=bool)) is old
+    assert old.merge(old, np.ones(5, dtype=bool)) is old
 
 
 @each_family
@@ -144,19 +143,19 @@ def test_merging_keeps_the_price_and_refuses_other_games():
     family = RandomEnergy(base_price=3.0)
     game = family.draw(generators(range(2)))
     mask = np.array([True, False])
-    assert game.merged(family.draw(generators([9])), mask).base_price == 3.0
+    assert game.merge(family.draw(generators([9])), mask).base_price == 3.0
     for first, second in [(game, NonQuadraticGame()), (game, HiddenGame()), (HiddenGame(), game)]:
-        with pytest.raises(TypeError, match=r"merged\(\) needs a batch of such games of the same players, got \w+"):
-            first.merged(second, mask)
+        with pytest.raises(TypeError, match=r"merge\(\) needs a batch of such games of the same players, got \w+"):
+            first.merge(second, mask)
     single = NonQuadraticGame()
-    assert single.merged(single, mask) is single
-    with pytest.raises(TypeError, match="NonQuadraticGame.merged.. needs a batch of such games"):
-        single.merged(NonQuadraticGame(), mask)
+    assert single.merge(single, mask) is single
+    with pytest.raises(TypeError, match="NonQuadraticGame.merge.. needs a batch of such games"):
+        single.merge(NonQuadraticGame(), mask)
 
 
 def test_single_game_uses_no_random_numbers():
     game, generator = EnergyGame(), np.random.default_rng(0)
-    assert SingleGame(game).draw([generator, generator]) is game
+    assert game.draw([generator, generator]) is game
     assert generator.random() == np.random.default_rng(0).random()
 
 
@@ -195,8 +194,8 @@ class TwistedGames(EnergyGame):
 
 
 class TwistedFamily(RandomEnergy):
-    def _game(self, parameters):
-        game = super()._game(parameters)
+    def draw(self, generators):
+        game = super().draw(generators)
         return TwistedGames(*(getattr(game, name) for name in PARAMETERS))
 
 

@@ -6,20 +6,19 @@ from sample_games import BlockGame
 
 from ptne_env import theory
 from ptne_env.games import (
-    AffineGame,
     ConnectivityControl,
     ElectricVehicleCharging,
     EnergyGame,
     NetworkedCournot,
     NonQuadraticGame,
     Oligopoly,
+    QuadraticGame,
     RandomAffine,
     RandomEnergy,
     RandomSaturating,
     RateControl,
     WeaklyMonotoneGame,
     require_strong_monotonicity,
-    robots,
 )
 from ptne_env.theory import check_game
 
@@ -159,9 +158,9 @@ def test_equilibrium_of_the_hvac_game_of_ye_and_hu():
 
 
 def test_robots_equilibrium_solves_its_linear_system():
-    game, touch = ConnectivityControl(), robots._TOUCH
+    game, touch = ConnectivityControl(), ConnectivityControl._TOUCH
     laplacian = np.diag(touch.sum(axis=1)) - touch
-    places = np.linalg.solve(0.6 * np.eye(5) + laplacian, 0.6 * robots._POSTS)
+    places = np.linalg.solve(0.6 * np.eye(5) + laplacian, 0.6 * ConnectivityControl._POSTS)
     assert game.nash_equilibrium.reshape(5, 2) == pytest.approx(places, abs=1e-12)
     assert not np.array_equal(touch, touch.T)  # not a potential game
 
@@ -170,8 +169,8 @@ def test_robots_costs_are_weighted_squared_distances():
     game, x = ConnectivityControl(), np.random.default_rng(0).normal(size=(10, 1))
     at = x.reshape(5, 2)
     for i in range(5):
-        cost = 0.6 * np.sum((at[i] - robots._POSTS[i]) ** 2)
-        cost += sum(robots._TOUCH[i, j] * np.sum((at[i] - at[j]) ** 2) for j in range(5))
+        cost = 0.6 * np.sum((at[i] - ConnectivityControl._POSTS[i]) ** 2)
+        cost += sum(ConnectivityControl._TOUCH[i, j] * np.sum((at[i] - at[j]) ** 2) for j in range(5))
         assert game.costs(x)[i, 0] == pytest.approx(cost, rel=1e-13)
 
 
@@ -251,4 +250,4 @@ def test_weakly_monotone_game_satisfies_assumption_3_but_not_4():
 
 def test_numbers_that_are_not_finite_are_refused():
     with pytest.raises(ValueError, match="finite parameters"):
-        AffineGame(np.eye(2), [1.0, np.nan])
+        QuadraticGame(np.eye(2), [1.0, np.nan])

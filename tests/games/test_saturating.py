@@ -22,7 +22,7 @@ def test_saturating_games_have_the_sampled_constants_that_are_promised():
     assert constants.epsilon >= 0.7
     assert (
         constants.iota_strategies
-        <= np.linalg.norm(game.matrix[..., 0], 2) + np.linalg.norm(game.prices[..., 0], 2) ** 2
+        <= np.linalg.norm(game.matrices[..., 0], 2) + np.linalg.norm(game.all_prices[..., 0], 2) ** 2
     )
 
 

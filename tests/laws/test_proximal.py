@@ -56,7 +56,7 @@ def test_players_with_several_components_solve_for_their_block():
     game = world.game
     adjacency = world.topology.graphs[0].adjacency
     states = played(world, 60, step=1.0, mixing=0.3)
-    jacobian, offset = game.matrix[..., 0], game.offset[:, 0]
+    jacobian, offset = game.matrices[..., 0], game.offsets[:, 0]
     expected = proximal_point(jacobian, offset, game.owners, adjacency, states[50], 1.0, 0.3)
     assert np.linalg.norm(expected - states[51]) < 1e-2 * np.linalg.norm(states[51] - states[50])
 

@@ -58,7 +58,7 @@ def test_adaptive_law_agrees_with_an_integration_in_physical_time(start):
         x, kappa = y[:25].reshape(5, 5), y[25:].reshape(5, 5)
         dx, dkappa = np.zeros((5, 5)), np.zeros((5, 5))
         for i in range(5):
-            dx[i, i] -= 2 * (x[i, i] - game.target[i, 0]) + 0.1 * x[i].sum() + 10 + 0.1 * x[i, i]
+            dx[i, i] -= 2 * (x[i, i] - game.targets[i, 0]) + 0.1 * x[i].sum() + 10 + 0.1 * x[i, i]
             for j in range(5):
                 difference = x[i] - x[j]
                 dx[i] -= kappa[i, j] * weights[mode][i, j] * difference

@@ -1,4 +1,9 @@
+import copy
+import dataclasses
 import json
+import pickle
+from dataclasses import FrozenInstanceError
+from functools import cached_property
 
 import networkx as nx
 import numpy as np
@@ -8,7 +13,7 @@ from hypothesis import strategies as st
 from processes import run_python
 
 from ptne_env import FactorySpec, Scenario, get_scenario
-from ptne_env.games import AffineGame, EnergyGame, RandomEnergy
+from ptne_env.games import AffineGame, EnergyGame, QuadraticGame, RandomEnergy
 from ptne_env.shared.parts import PARTS, foreign_targets, is_part, resolve
 from ptne_env.suites import get_suite
 from ptne_env.world import channels, graphs, switching
@@ -158,31 +163,26 @@ def test_parts_that_are_nested_too_deeply_are_refused():
 
 
 class Contest(AffineGame):
-    """A game whose arguments are not its attributes."""
+    """A game whose arguments are not its matrix."""
 
-    def __init__(self, pull=0.5, *, tastes=(1.0, 2.0, 4.0)):
-        super().__init__(np.eye(3) - pull / 2 * (1 - np.eye(3)), -np.asarray(tastes))
+    pull: float = 0.5
+    tastes: tuple = (1.0, 2.0, 4.0)
 
+    @cached_property
+    def matrix(self):
+        return np.eye(3) - self.pull / 2 * (1 - np.eye(3))
 
-class Unnamed(AffineGame):
-    """A game whose arguments have no names."""
-
-    def __init__(self, *tastes):
-        super().__init__(np.eye(3), np.asarray(tastes))
-
-
-class Unseeded(AffineGame):
-    """A game that is another one whenever it is made."""
-
-    def __init__(self):
-        super().__init__(np.eye(3), np.random.default_rng().normal(size=3))
+    @cached_property
+    def offset(self):
+        return -np.asarray(self.tastes)
 
 
 class Drawn(AffineGame):
     """A game of another object."""
 
-    def __init__(self, generator):
-        super().__init__(np.eye(3), generator.normal(size=3))
+    generator: object
+    matrix = np.eye(3)
+    offset = np.ones(3)
 
 
 def wheel():
@@ -205,35 +205,79 @@ def wheel():
                 stages=[FactorySpec.of("ptne_env.world.channels:AdditiveNoise", std=0.1)],
             ),
         ),
-        (RandomEnergy(5), FactorySpec.of("ptne_env.games:RandomEnergy", players=5)),
+        (RandomEnergy(5), FactorySpec.of("ptne_env.games:RandomEnergy")),
+        (RandomEnergy(6), FactorySpec.of("ptne_env.games:RandomEnergy", players=6)),
     ],
 )
-def test_an_object_is_named_by_the_arguments_that_it_was_made_with(part, named):
-    assert FactorySpec.naming(part) == named
+def test_the_spec_of_a_part_is_its_class_and_the_fields_that_differ_from_their_defaults(part, named):
+    assert FactorySpec.of(part) == named
+    if not callable(part):
+        assert FactorySpec.of(named.build()) == named
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Unnamed(1.0, 2.0, 3.0), "a Unnamed cannot be named by its arguments .argument 'tastes' has no name"),
-        (lambda: Drawn(np.random.default_rng(0)), "cannot be named by its arguments .*got Generator"),
-        (Unseeded, "the arguments of this Unseeded make another one: .*draws random numbers"),
+        (lambda: Drawn(np.random.default_rng(0)), "a Drawn cannot be named by its fields .*got Generator"),
         (
-            type("Contest", (Unseeded,), {"__module__": __name__}),
+            type("Contest", (Contest,), {"__module__": __name__}),
             "has no Contest, or another one since this object was",
         ),
     ],
 )
-def test_an_object_that_arguments_do_not_name_is_refused_with_advice(make, message):
+def test_an_object_that_fields_do_not_name_is_refused_with_advice(make, message):
     with pytest.raises(ValueError, match=message):
-        FactorySpec.naming(make())
+        FactorySpec.of(make())
 
 
-def test_an_object_that_was_changed_is_refused():
-    game = Contest()
-    game.offset = game.offset + 1
-    with pytest.raises(ValueError, match="it was changed later"):
-        FactorySpec.naming(game)
+@pytest.mark.parametrize("tastes", [[1.0, 2.0, 3.0], (1, 2, 3), np.arange(1.0, 4.0)])
+def test_a_list_a_tuple_and_an_array_of_equal_entries_make_equal_parts(tastes):
+    part, expected = Contest(tastes=tastes), Contest(tastes=(1.0, 2.0, 3.0))
+    assert part == expected
+    assert hash(part) == hash(expected)
+    assert FactorySpec.of(part) == FactorySpec.of(expected)
+    assert part != Contest(tastes=(1.0, 2.0, 4.0)) == Contest()
+    assert part != AffineContest(tastes=tastes)
+
+
+class AffineContest(Contest):
+    """The same under another name."""
+
+
+def test_a_part_keeps_copies_and_cannot_be_changed():
+    target = np.arange(3.0)
+    game = EnergyGame(target=target)
+    target[0] = 7.0
+    assert game.target.tolist() == [0.0, 1.0, 2.0]
+    with pytest.raises(ValueError, match="read-only"):
+        game.target[0] = 7.0
+    with pytest.raises(FrozenInstanceError, match="cannot assign to field 'target'"):
+        game.target = target
+
+
+def test_an_attribute_of_a_base_is_no_default_of_a_field():
+    with pytest.raises(TypeError, match="missing 2 required positional arguments: 'matrix' and 'offset'"):
+        QuadraticGame()
+
+
+def test_a_part_with_an_init_of_its_own_is_refused_with_advice():
+    with pytest.raises(TypeError, match="Old defines __init__, but the arguments of a part are its fields: declare"):
+
+        class Old(AffineGame):
+            def __init__(self, pull):
+                self.pull = pull
+
+
+def test_the_text_of_a_part_is_short():
+    assert repr(EnergyGame(2.0)) == "EnergyGame(curvature=2.0)"
+    assert len(repr(FixedStart(np.zeros((50, 50))))) < 60
+
+
+@pytest.mark.parametrize("part", [EnergyGame(target=np.arange(3.0)), graphs.cycle(5), RandomEnergy(5), Contest(0.2)])
+def test_a_part_survives_pickle_and_copies(part):
+    for again in (pickle.loads(pickle.dumps(part)), copy.deepcopy(part), dataclasses.replace(part)):  # noqa: S301 - ours
+        assert again == part
+        assert hash(again) == hash(part)
 
 
 def test_a_class_in_a_function_is_refused_with_advice():

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from worlds import FROM_THE_PAPER
 
 from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
-from ptne_env.games import AffineGame, EnergyGame, NonQuadraticGame
+from ptne_env.games import EnergyGame, NonQuadraticGame, QuadraticGame
 from ptne_env.world.graphs import complete, cycle
 from ptne_env.world.switching import paper_topology
 from ptne_env.world.world import World
@@ -82,7 +82,7 @@ def test_a_shortfall_above_one_percent_is_a_warning():
 
 
 def test_an_affine_game_that_is_not_monotone_is_a_warning():
-    game = AffineGame(2 * np.ones((5, 5)) - np.eye(5), np.ones(5))
+    game = QuadraticGame(2 * np.ones((5, 5)) - np.eye(5), np.ones(5))
     with pytest.warns(UserWarning, match=r"F is not monotone \(ε = -1\).*ptne certify"):
         World(get_scenario("energy", game=game))
 

@@ -101,15 +101,16 @@ def generators(count, seed=0):
 
 def walked(topology, instants, generator):
     """Mode and time since the last switch, by a walk from dwell to dwell with the same draws, in plain Python."""
-    count = int(max(instants) / topology.shortest) + 2
+    shortest, longest = topology.dwell_range
+    count = int(max(instants) / shortest) + 2
     choices, units = generator.random((2, count))
     modes, since = [], []
     for instant in instants:
         mode = int(choices[0] * len(topology.graphs))
         start, dwell = 0.0, 0
         while True:
-            end = start + topology.shortest + (topology.longest - topology.shortest) * units[dwell]
-            if instant < end - 1e-9 * topology.shortest:
+            end = start + shortest + (longest - shortest) * units[dwell]
+            if instant < end - 1e-9 * shortest:
                 break
             start, dwell, mode = end, dwell + 1, int(choices[dwell + 1] * len(topology.graphs))
         modes.append(mode)
