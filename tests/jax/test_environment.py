@@ -114,3 +114,19 @@ def test_a_scenario_with_a_part_that_numpy_alone_can_compute_is_refused_by_name(
     state = world.reset(key())
     with pytest.raises(ValueError, match=r"scenario 'mine' has a part .*test_environment.py"):
         world.step(state, state.estimates)
+
+
+def test_the_leaves_of_a_drawn_game_are_its_parameters_and_equilibria_and_a_single_game_has_none():
+    world = ptne_env.jax.world("random-affine", pool=3)
+    game = world.reset(key(), 2).game
+    leaves, structure = jax.tree.flatten(game)
+    assert [leaf.shape[-1] for leaf in leaves] == [2] * len((*game.parameters, "nash_equilibria", "equilibrium_scale"))
+    again = jax.tree.unflatten(structure, leaves)
+    assert (again.action_dims, again.batch_size) == (game.action_dims, 2)
+    assert jax.tree.structure(jax.device_get(game)) == structure
+    assert jax.tree.structure(jax.tree.unflatten(structure, [object()] * len(leaves))) == structure
+    single = ptne_env.jax.world("energy")
+    assert jax.tree.leaves(single.reset(key()).game) == []
+    other = ptne_env.jax.world("energy").reset(key())
+    assert jax.tree.structure(single.reset(key())) == jax.tree.structure(other)  # games are compared by value
+    assert jax.tree.structure(ptne_env.jax.world("hvac-ye-hu").reset(key())) != jax.tree.structure(other)

@@ -268,6 +268,18 @@ def test_a_part_with_an_init_of_its_own_is_refused_with_advice():
                 self.pull = pull
 
 
+@pytest.mark.parametrize("decorate", [dataclasses.dataclass, dataclasses.dataclass(frozen=True)])
+def test_a_part_is_a_dataclass_already_and_takes_no_decorator(decorate):
+    with pytest.raises(TypeError, match=r"frozen|Cannot overwrite attribute __setattr__ in class Contest"):
+        decorate(type("Contest", (Contest,), {}))
+
+
+def test_an_argument_that_a_check_refuses_is_named():
+    with pytest.raises(ValueError, match="std must be a finite number of at least 0, got -1"):
+        channels.AdditiveNoise(-1)
+    assert channels.LateNoise(1, 3) == channels.LateNoise(std=1.0, step=3)
+
+
 def test_the_text_of_a_part_is_short():
     assert repr(EnergyGame(2.0)) == "EnergyGame(curvature=2.0)"
     assert len(repr(FixedStart(np.zeros((50, 50))))) < 60
