@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from paper.continuous import Run, exact_static, plain_timeline, prescribed_timeline, simulate
-from ptne_env.games import AffineGame, EnergyGame, Game, NonQuadraticGame
+from ptne_env.games import EnergyGame, Game, NonQuadraticGame, QuadraticGame
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.theory import MonotonicityConstants, closed_loop_matrix, gain_bound, monotonicity_constants
 from ptne_env.world.clock import Exponential, TimeTransformation
@@ -119,11 +119,11 @@ class Experiments:
         return {period: self._adaptive(self.energy, topology, 0.0, 501) for period, topology in topologies.items()}
 
     @cached_property
-    def rotating(self) -> AffineGame:
+    def rotating(self) -> QuadraticGame:
         """Five players with F = (I + 10 K) x, K skew-symmetric, drawn with seed 0, and of norm 1: ε = 1."""
         drawn = np.random.default_rng(0).normal(size=(5, 5))
         skew = drawn - drawn.T
-        return AffineGame(np.eye(5) + ROTATION * skew / np.linalg.norm(skew, 2), np.zeros(5))
+        return QuadraticGame(np.eye(5) + ROTATION * skew / np.linalg.norm(skew, 2), np.zeros(5))
 
     @cached_property
     def counterexamples(self) -> dict[str, Run]:
@@ -131,7 +131,7 @@ class Experiments:
 
         Two players who are linked in every other dwell, five over the paper's modes, and the same five over two cycles.
         """
-        pair = AffineGame([[1.0, ROTATION], [-ROTATION, 1.0]], [0.0, 0.0])
+        pair = QuadraticGame([[1.0, ROTATION], [-ROTATION, 1.0]], [0.0, 0.0])
         cycles = [cycle(5), from_edges(5, [(0, 2), (2, 4), (4, 1), (1, 3), (3, 0)])]
         return {
             "two players": self._rotate(pair, [from_edges(2, []), path(2)], 5.0),

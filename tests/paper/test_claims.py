@@ -111,7 +111,7 @@ def test_erratum_2_the_environment_diverges_too():
     game, topology = Experiments().rotating, FactorySpec.of("topology:paper", dwell=0.25, clock="transformed")
     scenario = get_scenario(
         "energy-switching-transformed",
-        game=FactorySpec.of("game:affine", matrix=game.matrix[..., 0].tolist(), offset=[0.0] * 5),
+        game=FactorySpec.of("game:quadratic", matrix=game.matrix, offset=[0.0] * 5),
         topology=topology,
         start=FactorySpec.of("start:fixed", estimates=np.ones((5, 5)).tolist()),
         steps=4000,

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from sample_games import BlockGame, CubicGame, ForgetfulEnergyGame
 
-from ptne_env.games import AffineGame, EnergyGame
+from ptne_env.games import EnergyGame, QuadraticGame
 from ptne_env.theory import check_game
 
 
@@ -44,7 +44,7 @@ def test_concave_cost_is_reported_for_its_player():
 
 def test_a_game_without_an_equilibrium_is_told_of():
     """J1 = ½(x1 − x2 − 1)² and J2 = ½(x2 − x1)² satisfy Assumption 3, and F1 + F2 = −1 everywhere."""
-    report = check_game(AffineGame([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 0.0]))
+    report = check_game(QuadraticGame([[1.0, -1.0], [-1.0, 1.0]], [-1.0, 0.0]))
     assert report.strictly_convex == report.radially_unbounded == (True, True)
     assert "no single Nash equilibrium" in report.equilibrium_error
     assert not report.assumption_3_holds

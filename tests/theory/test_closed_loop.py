@@ -9,7 +9,7 @@ from scipy import linalg
 from worlds import BLOCKS, world_and_encoder
 
 from ptne_env import get_scenario, laws, theory
-from ptne_env.games import AffineGame, EnergyGame
+from ptne_env.games import EnergyGame, QuadraticGame
 from ptne_env.theory.closed_loop import NoClosedLoopError
 from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational
 from ptne_env.world.graphs import Graph, cycle, path
@@ -83,7 +83,7 @@ def test_rate_on_the_cycle_is_that_of_the_matrix_exponential():
 def test_for_a_large_gain_the_rate_is_that_of_gradient_play_shared_by_all_players(players):
     """Min Re eig(dF)/N, which is more than ε/N where F is not symmetric."""
     matrix, offset, _ = random_affine(np.random.default_rng(0), players, coupling=2.0)
-    game = AffineGame(matrix, offset)
+    game = QuadraticGame(matrix, offset)
     slowest = np.linalg.eigvals(matrix).real.min()
     assert theory.monotonicity_constants(game).epsilon < 0.9 * slowest
     rate = theory.spectral_abscissa(theory.closed_loop_matrix(game, cycle(players), 1e6))
