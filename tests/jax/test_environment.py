@@ -117,7 +117,7 @@ def test_a_scenario_with_a_part_that_numpy_alone_can_compute_is_refused_by_name(
 
 
 def test_the_leaves_of_a_drawn_game_are_its_parameters_and_equilibria_and_a_single_game_has_none():
-    world = ptne_env.jax.world("random-affine", pool=3)
+    world = ptne_env.jax.JaxWorld("random-affine", pool=3)
     game = world.reset(key(), 2).game
     leaves, structure = jax.tree.flatten(game)
     assert [leaf.shape[-1] for leaf in leaves] == [2] * len((*game.parameters, "nash_equilibria", "equilibrium_scale"))
@@ -125,8 +125,8 @@ def test_the_leaves_of_a_drawn_game_are_its_parameters_and_equilibria_and_a_sing
     assert (again.action_dims, again.batch_size) == (game.action_dims, 2)
     assert jax.tree.structure(jax.device_get(game)) == structure
     assert jax.tree.structure(jax.tree.unflatten(structure, [object()] * len(leaves))) == structure
-    single = ptne_env.jax.world("energy")
+    single = ptne_env.jax.JaxWorld("energy")
     assert jax.tree.leaves(single.reset(key()).game) == []
-    other = ptne_env.jax.world("energy").reset(key())
+    other = ptne_env.jax.JaxWorld("energy").reset(key())
     assert jax.tree.structure(single.reset(key())) == jax.tree.structure(other)  # games are compared by value
-    assert jax.tree.structure(ptne_env.jax.world("hvac-ye-hu").reset(key())) != jax.tree.structure(other)
+    assert jax.tree.structure(ptne_env.jax.JaxWorld("hvac-ye-hu").reset(key())) != jax.tree.structure(other)
