@@ -39,7 +39,7 @@ def bench():
 
     command = Path(sysconfig.get_path("scripts")) / "ptne"
     listed = subprocess.run([command, "list"], capture_output=True, text=True, check=True).stdout  # noqa: S603
-    names = learn.shipped()
+    names = learn.shipped_names()
     assert names
     assert "energy-switching" in listed
     policy = learn.load(names[0])

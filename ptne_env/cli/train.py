@@ -21,7 +21,7 @@ from ptne_env.suites import find_scenario
 from ptne_env.suites.suite import LAW
 
 if TYPE_CHECKING:
-    from ptne_env.training.configuration import Configuration, Summary
+    from ptne_env.training.configuration import Configuration, RunSummary
     from ptne_env.training.through_world import Settings
 
     Run: TypeAlias = Configuration | Settings
@@ -81,8 +81,8 @@ def train(
     """
     extra = "jax" if through_world else "sb3"
     try:
-        from ptne_env.training.configuration import Configuration, finished
-        from ptne_env.training.curve import draw, yardsticks
+        from ptne_env.training.configuration import Configuration, read_finished_run
+        from ptne_env.training.curve import draw, evaluate_laws
 
         trainer = import_module(f"ptne_env.training.{'through_world' if through_world else 'ppo'}")
     except ImportError as error:
@@ -102,7 +102,7 @@ def train(
         runs = {out / f"seed-{each.seed}": each for each in series}
     picture = out / "learning-curve.png"
     check_writable(json, picture, *(folder / trainer.POLICY for folder in runs))
-    ended = [folder for folder, each in runs.items() if finished(each, folder, trainer.POLICY)]
+    ended = [folder for folder, each in runs.items() if read_finished_run(each, folder, trainer.POLICY)]
     summaries = _train(runs, trainer)
     found = [asdict(summary) for summary in summaries.values()]
     write_json(json, json_text(found[0] if seeds is None else found))
@@ -112,7 +112,7 @@ def train(
     if seeds is not None:
         mean = sum(reached) / len(reached)
         say(f"Mean of {seeds} seeds: {mean:.2f} digits, from {min(reached):.2f} to {max(reached):.2f}")
-    laws = yardsticks(find_scenario(chosen.scenario))
+    laws = evaluate_laws(find_scenario(chosen.scenario))
     law = laws.summary(laws.tracks[0].name, LAW, "digits")
     if law is not None and law.mean is not None and max(reached) < law.mean:
         say(f"The paper's law, {LAW}, has {law.mean:.2f} digits on validation episodes: more --steps may beat it")
@@ -129,9 +129,9 @@ def train(
     say(f"To compare:  ptne compare {chosen.scenario} --policy {shlex.quote(f'static,{trained}')}")
 
 
-def _train(runs: Mapping[Path, Run], trainer: ModuleType) -> dict[Path, Summary]:
+def _train(runs: Mapping[Path, Run], trainer: ModuleType) -> dict[Path, RunSummary]:
     """Train one run after the other, with a progress bar for all of them; their summaries."""
-    summaries: dict[Path, Summary] = {}
+    summaries: dict[Path, RunSummary] = {}
     with progress("training") as advance:
         for folder, configuration in runs.items():
 
@@ -144,7 +144,7 @@ def _train(runs: Mapping[Path, Run], trainer: ModuleType) -> dict[Path, Summary]
     return summaries
 
 
-def _say_result(policy: Path, summary: Summary, *, was_finished: bool) -> None:
+def _say_result(policy: Path, summary: RunSummary, *, was_finished: bool) -> None:
     digits = f"{summary.digits:.2f} digits on the {'validation' if policy.suffix == '.onnx' else 'last'} episodes"
     if was_finished:
         say(f"This run has ended before, with {digits}; {policy.name} is in {policy.parent}")

@@ -28,13 +28,13 @@ class PolicySpec:
     """A policy of a comparison.
 
     Attributes:
-        name: for tables and files.
+        name: the name in tables and files.
         policy: a :class:`~ptne_env.shared.parts.FactorySpec` or a callable that builds the policy from a layout (such
             as the class of a law), or a policy itself, such as a Stable-Baselines3 model; or a tuple of these, one per
             training seed.
-        interface: makes its observations and decodes its actions; its kind will do. What the policy declares as its
-            attribute ``interface`` cannot be overridden; if it declares nothing and this is left out, it is ``scaled``.
-        description: one sentence, for lists; no part of the policy.
+        interface: the interface, or its kind, that makes the observations and decodes the actions. A policy that has
+            an attribute ``interface`` takes no other; one that has none gets ``scaled`` if this is left out.
+        description: a sentence for lists, which does not count in comparisons of specs.
 
     Raises:
         ValueError: when there is no training seed, or one is none of these, training seeds have different interfaces,
@@ -76,12 +76,12 @@ class PolicySpec:
 
     @property
     def is_oracle(self) -> bool:
-        """Whether it uses information that players lack."""
+        """Whether the policy uses information that players lack."""
         return self.interface.is_privileged
 
     @property
     def is_law(self) -> bool:
-        """Whether it is a law of :data:`POLICIES`: no network, no oracle, and none that seeks nothing."""
+        """Whether the policy is a law of :data:`POLICIES` that seeks the equilibrium; an oracle is none."""
         return self.name in TABLE and not (self.files or self.is_oracle or self.name in NO_LAWS)
 
     @property
@@ -91,27 +91,27 @@ class PolicySpec:
 
     @property
     def is_own(self) -> bool:
-        """Whether any of it is the user's: an object, code from outside the library, or a file that does not ship."""
+        """Whether a part of the policy is the user's: an object, foreign code, or a file that does not ship."""
         foreign = not self.is_repeatable or any(map(foreign_targets, self.training_seeds))
         return foreign or any(Path(path).suffix for path in self.files)  # shipped files go by their names
 
     @property
     def files(self) -> list[str]:
-        """The paths, or the names of shipped files, that policies are loaded from, one per training seed in a file."""
+        """The path or shipped name of the file of every training seed that is loaded from one."""
         return [path for path in map(_file_of, self.training_seeds) if path is not None]
 
     @property
     def libraries(self) -> tuple[str, ...]:
-        """The libraries that it computes with, beside those that every result depends on."""
+        """The libraries that the policy computes with, beside those that every result depends on."""
         file_format = format_of(self.training_seeds[0])
         return file_format.libraries if file_format else ()
 
     def build(self, layout: ObservationLayout, training_seed: int = 0) -> Policy:
-        """The policy of a training seed for a layout.
+        """Build the policy of a training seed for a layout.
 
         Raises:
-            LayoutError: when it was made for another layout.
-            PolicyError: when building it raises anything else, or the result has no ``predict``.
+            LayoutError: when the policy was made for another layout.
+            PolicyError: when building it raises any other error, or what was built has no ``predict``.
         """
         source = self.training_seeds[training_seed]
         built: Any = source
@@ -135,7 +135,7 @@ class PolicySpec:
         return policy
 
     def to_dict(self) -> dict[str, Any]:
-        """A JSON object with the parameters of every training seed, and the SHA-256 of its file."""
+        """Return a JSON object with the parameters of every training seed, and the SHA-256 of its file."""
         return {
             "name": self.name,
             "interface": self.interface.to_dict(),
@@ -144,10 +144,10 @@ class PolicySpec:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> PolicySpec:
-        """The inverse of :meth:`to_dict` for a repeatable policy.
+        """Make a spec from what :meth:`to_dict` of a repeatable policy returned.
 
         Raises:
-            ValueError: when a policy was an object of another process, or the data are no policy.
+            ValueError: when the policy was an object of another process, or the data describe no policy.
         """
         try:
             seeds = data["training_seeds"]
@@ -232,10 +232,10 @@ POLICIES: Mapping[str, PolicySpec] = _Policies()
 
 
 def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
-    """A policy by name, file, part, ``"module:object"`` or ``"name=pattern"``, or as it is.
+    """Return the spec of a policy, which may be given as a string, as an object, or as a spec already.
 
-    A string of the caller is code of the caller: a ``"module:object"`` is imported without a question. The command
-    line, whose strings may be copied from elsewhere, asks first.
+    A ``"module:object"`` is imported without a question, because the caller could import it, too. The command line,
+    whose arguments may be copied from elsewhere, asks first.
 
     Args:
         policy: a name of :data:`POLICIES`, an ``.onnx`` or ``.npz`` file, a Stable-Baselines3 ``.zip``, the id of a
@@ -245,10 +245,10 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
         trust: whether code that is stored in a ``.zip`` may be executed.
 
     Raises:
-        ValueError: for an unknown name, an object that is no string and no spec, an object that cannot be imported, a
-            file of another kind, or a ``.zip`` that is not trusted.
-        FileNotFoundError: also for a pattern without files.
-        PolicyFileError, ImportError: as :func:`ptne_env.learn.load`.
+        ValueError: for an unknown name, an object that is none of these, a ``"module:object"`` that cannot be
+            imported, a file of another format, or a ``.zip`` that is not trusted.
+        FileNotFoundError: when there is no such file, or a pattern matches none.
+        PolicyFileError, ImportError: as :func:`ptne_env.learn.load` raises them.
     """
     if isinstance(policy, PolicySpec):
         return policy

@@ -32,12 +32,13 @@ class JaxPolicy(RowPolicy):
     ``PolicySpec("mine", policy)``.
 
     Attributes:
-        act: decides for one player, ``act(params, observation, memory) -> (action, memory)``, from its observation
-            (size,) and its own memory alone. Actions (n,) are in the units of the interface, and are clipped.
+        act: the function ``act(params, observation, memory) -> (action, memory)``, which decides for one player from
+            its observation (size,) and its own memory alone. Actions (n,) are in the units of the interface, and are
+            clipped.
         params: the first argument of ``act``; any pytree.
-        memory: of a player at the start of an episode; any pytree, ``()`` for none.
-        interface: of observations and actions.
-        layout: that ``act`` was made for; ``None`` where it does not matter.
+        memory: the memory of a player at the start of an episode; any pytree, ``()`` for none.
+        interface: the interface of observations and actions.
+        layout: the layout for which ``act`` was made; ``None`` where it does not matter.
     """
 
     act: Act

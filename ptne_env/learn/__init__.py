@@ -7,6 +7,6 @@
 
 from ptne_env.learn.onnx_policy import Metadata as Metadata
 from ptne_env.learn.policy_files import load as load
-from ptne_env.learn.policy_files import shipped as shipped
+from ptne_env.learn.policy_files import shipped_names as shipped_names
 from ptne_env.learn.policy_files import shipped_path as shipped_path
 from ptne_env.perception.policy import PolicyFileError as PolicyFileError

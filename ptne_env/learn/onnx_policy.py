@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 _METADATA, _DIGEST, _UNKNOWN = "ptne_env", "sha256", "0" * 64
 
 LARGEST_ARRAY, MOST_OPERATIONS = 1 << 20, 1000
-"""Numbers in the largest array that a network may compute for a row, and its operations."""
+"""The size of the largest array that a network may compute for a row, and the number of its operations."""
 
 OPERATORS = {
     "Add", "Cast", "Clip", "Concat", "Constant", "Div", "Elu", "Flatten", "Gather", "Gemm", "Identity", "LeakyRelu",
     "MatMul", "Max", "Min", "Mul", "Relu", "Reshape", "Selu", "Sigmoid", "Slice", "Softplus", "Squeeze", "Sub", "Tanh",
     "Unsqueeze",
 }  # fmt: skip
-"""The operations of a network: arithmetic, without loops, branches, other files, and arrays out of nothing."""
+"""The operations that a network may have: arithmetic, but no loop, branch, other file or array out of nothing."""
 
 LAYOUT_VERSION = 1
-"""Version of the meaning of observations and actions; files of another version are refused."""
+"""The version of the meaning of observations and actions; files of another version are refused."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,14 +41,14 @@ class Metadata:
     """The description of a policy in an ONNX file.
 
     Attributes:
-        interface: of the policy.
-        action_dims: n_i of each player it was trained with.
-        slots: D, neighbour slots per player.
+        interface: the interface of the policy.
+        action_dims: n_i of each player with which it was trained.
+        slots: D, the number of neighbour slots per player.
         training: how it was trained, such as scenario, agent-steps, seed and versions; nothing depends on it.
-        layout_version: version of the meaning of observations and actions.
+        layout_version: the version of the meaning of observations and actions.
 
     Raises:
-        ValueError, TypeError: for a value of a wrong type or out of range.
+        ValueError, TypeError: when a value has a wrong type or is out of range.
     """
 
     interface: Interface
@@ -96,8 +96,8 @@ class OnnxPolicy(RowPolicy):
     """A network without memory that onnxruntime runs; its actions are the mean actions.
 
     Attributes:
-        name: of the file, without its ending.
-        interface: of the policy.
+        name: the name of the file, without its ending.
+        interface: the interface of the policy.
         metadata: the description in the file.
     """
 

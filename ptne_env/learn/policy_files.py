@@ -13,17 +13,17 @@ from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import FactorySpec
 
 LARGEST_FILE = 16 << 20
-"""Bytes of the largest file that :func:`load` reads; the shipped ones have 30 to 290 kB."""
+"""The largest number of bytes that :func:`load` reads; the shipped files have 30 to 290 kB."""
 
 
 class PolicyFormat(NamedTuple):
     """A format of policy files.
 
     Attributes:
-        endings: of the files.
-        target: the function that loads one, as :class:`FactorySpec` names it.
-        argument: the argument of that function that is the file.
-        libraries: what the policies compute with, beside the libraries that every result depends on.
+        endings: the endings of the files' names.
+        target: the function that loads a file, as :class:`FactorySpec` names it.
+        argument: the name of the argument of that function that takes the file.
+        libraries: the libraries that the policies compute with, beside those that every result depends on.
         executes_code: whether loading a file executes code that is stored in it.
     """
 
@@ -52,7 +52,7 @@ def format_of(source: Any) -> PolicyFormat | None:
     return targets.get(source.target) if isinstance(source, FactorySpec) else None
 
 
-def shipped() -> list[str]:
+def shipped_names() -> list[str]:
     """Return the names of the policies in the library."""
     return sorted(path.stem for path in Path(__file__).parent.iterdir() if path.suffix in DATA.endings)
 
@@ -63,15 +63,15 @@ def shipped_path(name: str) -> Path:
     Raises:
         ValueError: for another name.
     """
-    if name not in shipped():
-        raise ValueError(unknown_name("learned policy", name, shipped(), "an .onnx or .npz file"))
+    if name not in shipped_names():
+        raise ValueError(unknown_name("learned policy", name, shipped_names(), "an .onnx or .npz file"))
     paths = (Path(__file__).with_name(f"{name}{ending}") for ending in DATA.endings)
     return next(path for path in paths if path.exists())
 
 
 def find_file(path_or_name: str | Path) -> Path:
     """Return the path of a policy file, which may be given by the name of a policy in the library."""
-    return shipped_path(str(path_or_name)) if str(path_or_name) in shipped() else Path(path_or_name)
+    return shipped_path(str(path_or_name)) if str(path_or_name) in shipped_names() else Path(path_or_name)
 
 
 def load(
@@ -80,9 +80,9 @@ def load(
     """Load a learned policy from an ``.onnx`` or ``.npz`` file, or a policy of the library by name.
 
     Args:
-        path_or_name: the file or name.
-        layout: of the environment in which the policy must be able to act; not checked if left out. The policy of an
-            ``.npz`` file needs it before it acts.
+        path_or_name: the path of the file, or the name of a shipped policy.
+        layout: the layout of the environment in which the policy must be able to act; not checked if left out. The
+            policy of an ``.npz`` file needs it before it acts.
 
     Raises:
         ValueError: for an unknown name.

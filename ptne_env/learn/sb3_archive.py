@@ -21,8 +21,8 @@ class ArchivePolicy(RowPolicy):
     """The policy network of a model of Stable-Baselines3; its interface is recognised by the spaces.
 
     Attributes:
-        name: of the file, without its ending.
-        interface: of the policy.
+        name: the name of the file, without its ending.
+        interface: the interface of the policy.
     """
 
     block = BLOCK
@@ -51,11 +51,11 @@ def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchiveP
 
     Args:
         path: the archive.
-        layout: of the environment in which the policy must be able to act; not checked if left out.
+        layout: the layout of the environment in which the policy must be able to act; not checked if left out.
 
     Raises:
         FileNotFoundError: when there is no such file.
-        PolicyFileError: when it is no archive of Stable-Baselines3, or one of a model of other environments.
+        PolicyFileError: when the file is no archive of Stable-Baselines3, or its model is of other environments.
         LayoutError: when the policy was made for another layout.
         ImportError: when Stable-Baselines3 is not installed.
     """

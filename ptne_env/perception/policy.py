@@ -20,15 +20,15 @@ _LONGEST_DESCRIPTION = 500
 
 
 class PolicyError(RuntimeError):
-    """A policy failed: it raised an error, answered in another form, or broke a rule of the protocol."""
+    """A policy raised an error, answered in another form, or broke a rule of the protocol."""
 
 
 class PolicyFileError(DamagedFileError):
-    """A file is no policy of this library, is damaged, or was made by another version."""
+    """A file holds no policy of this library, is damaged, or was made by another version."""
 
 
 def describe(error: BaseException) -> str:
-    """Class, message and place of an error of foreign code, in printable characters."""
+    """Return class, message and place of an error that foreign code raised, in printable characters."""
     text = _printable(f"{type(error).__name__}: {error}")
     if frames := extract_tb(error.__traceback__):
         text += _printable(f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})")
@@ -36,16 +36,16 @@ def describe(error: BaseException) -> str:
 
 
 def _printable(text: str) -> str:
-    """The beginning of a text of foreign code, with blanks for all characters that are not printable."""
+    """Return the beginning of a text, with blanks for all characters that are not printable."""
     beginning = text[:_LONGEST_DESCRIPTION]
     return "".join(character if character.isprintable() else " " for character in beginning)
 
 
 def decision(policy: Policy, observation: Float32Array, state: Any, episode_start: BoolArray) -> tuple[Any, Any]:
-    """The deterministic answer of a policy: actions, and the memory for the next call; arguments as of ``predict``.
+    """Ask a policy for deterministic actions and its memory; the arguments are those of ``predict``.
 
     Raises:
-        PolicyError: when the answer is no pair.
+        PolicyError: when the answer is not a pair.
     """
     try:
         answer = policy.predict(observation, state, episode_start, deterministic=True)
@@ -59,14 +59,14 @@ def decision(policy: Policy, observation: Float32Array, state: Any, episode_star
 
 
 def pair(answer: Any, expected: str) -> tuple[Any, Any]:
-    """An answer of a user's code that must be a pair.
+    """Check that the answer of a user's code is a pair, and return it.
 
     Raises:
-        PolicyError: when it is something else; the error says what is ``expected``.
+        PolicyError: when the answer is something else; the message says what was ``expected``.
     """
     if not (isinstance(answer, tuple | list) and len(answer) == 2):
-        found = f"{len(answer)} values" if isinstance(answer, tuple | list) else f"a {type(answer).__name__} alone"
-        raise PolicyError(f"{expected}, got {found}")
+        got = f"{len(answer)} values" if isinstance(answer, tuple | list) else f"a {type(answer).__name__} alone"
+        raise PolicyError(f"{expected}, got {got}")
     return answer[0], answer[1]
 
 
@@ -81,11 +81,12 @@ class Policy(Protocol):
         episode_start: BoolArray | None = None,
         deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[npt.NDArray[np.float32], Any]:
-        """Actions for observations, batched over the leading axis.
+        """Return actions for observations, batched over the leading axis.
 
         Args:
-            observation: of R players (in any number of environments), shape (R, size), or of one player, shape (size,).
-            state: the memory that the previous call returned; ``None`` at first. Opaque to callers.
+            observation: the observations of R players in any number of environments, shape (R, size), or that of one
+                player, shape (size,).
+            state: the memory that the previous call returned, opaque to callers; ``None`` at first.
             episode_start: where True, that row's memory starts afresh; shape (R,).
             deterministic: whether a stochastic policy takes its mode.
 

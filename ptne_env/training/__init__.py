@@ -1,14 +1,14 @@
-"""Training: PPO of Stable-Baselines3 on vectorised environments, and the export of the learned policy.
+"""Training: ``ppo`` with Stable-Baselines3, and ``through_world`` with JAX; both write a policy file and a curve.
 
-Everything but the names of configurations needs the extra ``pip install "ptne-env[sb3]"``.
+``ppo`` needs the extra ``pip install "ptne-env[sb3]"``, ``through_world`` the extra ``ptne-env[jax]``.
 """
 
 from pathlib import Path
 
 CONFIGURATIONS = Path(__file__).parent / "configurations"
-"""Folder of the shipped configurations, one ``.toml`` file each."""
+"""The folder of the shipped configurations, one ``.toml`` file each."""
 
 
 def configurations() -> list[str]:
-    """The names of the shipped configurations."""
+    """Return the names of the shipped configurations."""
     return sorted(path.stem for path in CONFIGURATIONS.glob("*.toml"))

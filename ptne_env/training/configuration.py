@@ -1,4 +1,4 @@
-"""The definition of a training run, checked when it is made."""
+"""The definition of a training run, and the records that a run leaves in its folder."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ class Configuration:
     """The definition of a training run. Agent-steps count every player of every environment.
 
     Attributes:
-        scenario: name of a scenario or family of games, of a track such as ``"ptne-v1/liar"``, or ``"module:object"``.
-        steps: agent-steps of training.
-        envs: environments stepped together.
-        rollout: steps of every environment between updates.
-        minibatches: per epoch.
-        epochs: passes over a rollout.
-        learning_rate: at the start; it falls linearly to 0 at the end.
+        scenario: the name of a scenario, of a track such as ``"ptne-v1/liar"``, or ``"module:object"``.
+        steps: the number of agent-steps.
+        envs: the number of environments that are stepped together.
+        rollout: the number of steps of every environment between updates.
+        minibatches: the number of minibatches per epoch.
+        epochs: the number of passes over a rollout.
+        learning_rate: the learning rate at the start; it falls linearly to 0 at the end.
         discount: γ of PPO, in [0, 1]. Digits are counted undiscounted, over the whole horizon.
-        log_std: initial logarithm of the actions' standard deviation, at most 0.
-        hidden: units of each tanh layer, of actor and critic alike.
-        seed: of the network, the sampling and the training games.
+        log_std: the initial logarithm of the actions' standard deviation, at most 0.
+        hidden: the number of units of each tanh layer, of actor and critic alike.
+        seed: the seed of the network, the sampling and the training games.
 
     Raises:
-        ValueError: when a value has another type or is out of its range, naming it.
+        ValueError: naming the value that has a wrong type or is out of its range.
     """
 
     scenario: str
@@ -63,19 +63,19 @@ class Configuration:
 
     @classmethod
     def from_toml(cls, name_or_path: str | Path, **changes: Any) -> Configuration:
-        """A shipped configuration, or one of a TOML file, with some values changed.
+        """Read a configuration, and change some of its values.
 
         Args:
-            name_or_path: of the configuration, or the name of a scenario or track, for which all others are the
-                defaults.
-            **changes: values by name.
+            name_or_path: the name of a shipped configuration, the path of a TOML file, or the name of a scenario or
+                track, which gets the default values.
+            **changes: the values that change, by name.
 
         Raises:
-            ValueError: for an unknown configuration, a file that is not TOML, or a value that is unknown, of another
-                type or out of its range.
+            ValueError: for an unknown configuration, a file that is not TOML, or a value that is unknown, has a wrong
+                type or is out of its range.
             FileNotFoundError: when there is no such file.
         """
-        values = _values(str(name_or_path)) | changes
+        values = _read_values(str(name_or_path)) | changes
         names = [field.name for field in dataclasses.fields(cls)]
         for name in values:
             if name not in names:
@@ -88,8 +88,8 @@ class Configuration:
             raise ValueError(f"{name_or_path}: {error}") from error
 
 
-def _values(name: str) -> dict[str, Any]:
-    """The values of a configuration, which are not checked."""
+def _read_values(name: str) -> dict[str, Any]:
+    """Return the values of a configuration without a check."""
     path = Path(name)
     if path.suffix != ".toml":
         if name not in configurations():
@@ -105,25 +105,25 @@ def _values(name: str) -> dict[str, Any]:
 
 
 SUMMARY, CONFIGURATION = "summary.json", "configuration.json"
-"""Names of two files of a run."""
+"""The names of two files of a run."""
 
 
 def write_record(path: Path, record: Any) -> None:
-    """Write a dataclass, the configuration or the summary of a run, as JSON."""
+    """Write a dataclass, such as the configuration or the summary of a run, as JSON."""
     write_atomically(path, json.dumps(dataclasses.asdict(record), indent=2) + "\n")
 
 
 @dataclass(frozen=True)
-class Summary:
-    """A finished run.
+class RunSummary:
+    """The summary of a finished run.
 
     Attributes:
-        agent_steps: done.
-        resumed_at: agent-steps, through the world updates, at which the run was resumed last; 0 for an uninterrupted
-            one.
-        seconds: of training since then.
-        digits: mean digits of the exported policy on the validation episodes; through the world, of the training
-            episodes that ended in the last tenth of the run.
+        agent_steps: the agent-steps of the whole run.
+        resumed_at: the agent-steps (through the world: updates) after which the run was resumed last; 0 if it never
+            was.
+        seconds: the time of training since then.
+        digits: the mean digits of the exported policy on the validation episodes; through the world, those of the
+            training episodes that ended in the last tenth of the run.
     """
 
     agent_steps: int
@@ -132,11 +132,16 @@ class Summary:
     digits: float
 
 
-def finished(configuration: Any, out: Path, policy: str) -> Summary | None:
-    """The summary of the finished run of a configuration, a dataclass, with the file of its policy in a folder, if any.
+def read_finished_run(configuration: Any, out: Path, policy: str) -> RunSummary | None:
+    """Read the summary of a finished run in a folder; ``None`` if it holds no run, or one that is unfinished.
+
+    Args:
+        configuration: the definition of the run, a dataclass.
+        out: the folder.
+        policy: the name of the file of the policy, which a finished run has.
 
     Raises:
-        ValueError: when it holds a run of another configuration.
+        ValueError: when the folder holds a run of another configuration.
     """
     path = out / CONFIGURATION
     if not path.exists():
@@ -149,4 +154,4 @@ def finished(configuration: Any, out: Path, policy: str) -> Summary | None:
         raise ValueError(f"{out} holds another run: {differences}; choose another folder, or remove this one")
     if not ((out / SUMMARY).exists() and (out / policy).exists()):
         return None
-    return Summary(**read_json(out / SUMMARY, "the summary of a training run"))
+    return RunSummary(**read_json(out / SUMMARY, "the summary of a training run"))

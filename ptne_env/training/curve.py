@@ -1,4 +1,4 @@
-"""The learning curve of a run: the means of its evaluations, and their picture."""
+"""The learning curve of a run, and its picture."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ptne_env.shared.style import COLOURS, INK, drawing
 from ptne_env.world.scenario import Scenario
 
 
-def learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
-    """Agent-steps and means of the evaluations in the folder of a run; of a resumed one, those since then.
+def read_learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
+    """Read the agent-steps and the means of the evaluations of a run; of a resumed run, those since it resumed.
 
     Raises:
         ValueError: when the file is damaged.
@@ -32,27 +32,27 @@ def learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
         raise ValueError(f"{path} is no learning curve: it is damaged or something else ({error})") from error
 
 
-def yardsticks(scenario: Scenario, episodes: int = 20) -> Results:
-    """The results of the laws on validation episodes.
+def evaluate_laws(scenario: Scenario, episodes: int = 20) -> Results:
+    """Evaluate the laws on validation episodes.
 
     Args:
-        scenario: of the training.
-        episodes: of each law.
+        scenario: the scenario of the training.
+        episodes: the number of episodes.
     """
     laws = [name for name in COMPARED if POLICIES[name].is_law]
     return evaluate(laws, [scenario], episodes=episodes, split="validation")
 
 
 def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, metric: str, laws: Results) -> None:
-    """Draw the learning curves of runs into a PNG file, beside the paper's law and the best law.
+    """Draw the learning curves of runs, the paper's law and the best law into a PNG file.
 
     Args:
-        runs: folders by name.
+        runs: the folders of the runs by name.
         path: the file.
-        title: of the picture.
-        steps: the agent-steps that were asked for, where the axis ends unless a curve goes on.
-        metric: ``"digits"`` or ``"digits_gained"``, whichever the curves show.
-        laws: of :func:`yardsticks`.
+        title: the title of the picture.
+        steps: the number of agent-steps where the axis ends, unless a curve goes on.
+        metric: the metric that the curves show, ``"digits"`` or ``"digits_gained"``.
+        laws: the results of :func:`evaluate_laws`.
 
     Raises:
         ImportError: when matplotlib is missing, naming the extra to install.
@@ -65,12 +65,12 @@ def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, metric
         figure = Figure(figsize=(6.4, 4.0), layout="constrained")
         axes = figure.subplots()
         for index, (name, folder) in enumerate(runs.items()):
-            curve = learning_curve(folder)
+            curve = read_learning_curve(folder)
             axes.plot(*curve, color=COLOURS[index % len(COLOURS)], marker="o", label=name, clip_on=False)
             steps = max(steps, *curve[0].astype(int))
         for (name, kind), style in zip(leaders(laws).items(), ("--", ":"), strict=False):
-            found = laws.record(laws.tracks[0].name, name, metric)
-            axes.axhline(found["mean"], color=INK, linestyle=style, linewidth=1, label=f"{name} ({kind})")
+            record = laws.record(laws.tracks[0].name, name, metric)
+            axes.axhline(record["mean"], color=INK, linestyle=style, linewidth=1, label=f"{name} ({kind})")
         axes.set(title=title, xlabel="agent-steps", ylabel=f"{METRICS[metric].label}, without exploration")
         axes.set_xlim(0, steps)
         axes.xaxis.set_major_formatter("{x:,.0f}")

@@ -1,4 +1,4 @@
-"""Settings with which algorithms of Stable-Baselines3 learn in seconds to minutes in ``PlayerVecEnv``.
+"""Settings with which algorithms of Stable-Baselines3 learn in ``PlayerVecEnv`` within seconds or minutes.
 
 They are for the interface ``scaled``, the default of :class:`~ptne_env.envs.sb3.PlayerVecEnv`::
 

@@ -36,7 +36,14 @@ from ptne_env.learn.onnx_policy import Metadata, seal
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites import find_scenario
-from ptne_env.training.configuration import CONFIGURATION, SUMMARY, Configuration, Summary, finished, write_record
+from ptne_env.training.configuration import (
+    CONFIGURATION,
+    SUMMARY,
+    Configuration,
+    RunSummary,
+    read_finished_run,
+    write_record,
+)
 from ptne_env.world.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -44,48 +51,48 @@ if TYPE_CHECKING:
     from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 POLICY = "policy.onnx"
-"""Name of the file of the policy."""
+"""The name of the file of the policy."""
 
 CURVE = "digits_gained"
 """The metric of the learning curve."""
 
 Progress = Callable[[int, int, float], None]
-"""Called with agent-steps done and in all, and mean digits gained in the last evaluation, -inf before the first."""
+"""A function of the agent-steps done, their total, and the mean digits gained in the last evaluation (-inf before)."""
 
 EVALUATIONS = 10
-"""Evaluations of the learning curve, and checkpoints, in a run."""
+"""The number of evaluations, and of checkpoints, in a run."""
 
 GAMES, VALIDATION_EPISODES = 20, 200
-"""Games of an evaluation, and episodes on which the exported policy is validated."""
+"""The games of an evaluation, and the episodes on which the exported policy is validated."""
 
 _CHECKPOINTS = "checkpoints"
 _EVALUATION_SEED = 1_000_000
 
 
-def train(configuration: Configuration, out: Path, progress: Progress | None = None) -> Summary:
+def train(configuration: Configuration, out: Path, progress: Progress | None = None) -> RunSummary:
     """Train, validate and export; resume an interrupted run. A finished run is not repeated.
 
     The global generators of Python, NumPy and PyTorch are seeded.
 
     Args:
-        configuration: of the run.
-        out: folder for all files of the run; made if missing.
-        progress: called after every rollout.
+        configuration: the definition of the run.
+        out: the folder for all files of the run; made if missing.
+        progress: a function to call after every rollout.
 
     Returns:
         The summary, also in ``out/summary.json``.
 
     Raises:
-        ValueError: for values that do not fit each other or an unknown scenario, when ``out`` holds a run with another
-            configuration or a damaged one, and when the trained policy fails on a validation episode.
+        ValueError: for values that do not fit each other, for an unknown scenario, when ``out`` holds a run with
+            another configuration or a damaged one, and when the trained policy fails on a validation episode.
     """
-    if (ended := finished(configuration, out, POLICY)) is not None:
+    if (ended := read_finished_run(configuration, out, POLICY)) is not None:
         return ended
     began = monotonic()
     torch.set_num_threads(1)  # the networks are small: a second thread costs more time than it saves
     scenario = find_scenario(configuration.scenario)
     env = PlayerVecEnv(scenario, configuration.envs)
-    model = PPO("MlpPolicy", env, **settings(configuration, env.num_envs))
+    model = PPO("MlpPolicy", env, **ppo_arguments(configuration, env.num_envs))
     checkpoints = out / _CHECKPOINTS
     model.num_timesteps = resumed_at = _restore(model, checkpoints)
     write_record(out / CONFIGURATION, configuration)
@@ -103,15 +110,15 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
         model.learn(configuration.steps - resumed_at, callback=callbacks, reset_num_timesteps=False)
 
     exported = to_onnx(model, env.layout, **asdict(configuration))
-    digits = _validated(exported, scenario)
+    digits = _validate(exported, scenario)
     write_atomically(out / POLICY, exported)
-    summary = Summary(model.num_timesteps, resumed_at, monotonic() - began, digits)
+    summary = RunSummary(model.num_timesteps, resumed_at, monotonic() - began, digits)
     write_record(out / SUMMARY, summary)
     return summary
 
 
-def settings(configuration: Configuration, members: int) -> dict[str, Any]:
-    """The keyword arguments of PPO for a ``VecEnv`` of ``members``.
+def ppo_arguments(configuration: Configuration, members: int) -> dict[str, Any]:
+    """Return the keyword arguments of PPO for a ``VecEnv`` of ``members`` environments.
 
     Raises:
         ValueError: when a minibatch would hold one sample.
@@ -135,7 +142,7 @@ def settings(configuration: Configuration, members: int) -> dict[str, Any]:
 
 
 def _restore(model: PPO, checkpoints: Path) -> int:
-    """Load network and optimiser of the last checkpoint; the agent-steps done, 0 without a checkpoint.
+    """Load the last checkpoint, and return its agent-steps; 0 without a checkpoint.
 
     Only arrays are read, which execute no code.
     """
@@ -150,11 +157,11 @@ def _restore(model: PPO, checkpoints: Path) -> int:
     return last
 
 
-def _validated(exported: bytes, scenario: Scenario) -> float:
-    """The mean digits of an exported policy on the validation episodes.
+def _validate(exported: bytes, scenario: Scenario) -> float:
+    """Return the mean digits of an exported policy on the validation episodes.
 
     Raises:
-        ValueError: when it fails there, with the reason.
+        ValueError: when the policy fails there, with the reason.
     """
     with TemporaryDirectory() as folder:
         file = Path(folder) / POLICY
@@ -167,7 +174,7 @@ def _validated(exported: bytes, scenario: Scenario) -> float:
 
 
 class _Report(BaseCallback):
-    """Tells the progress after every rollout."""
+    """A callback that reports the progress after every rollout."""
 
     def __init__(self, configuration: Configuration, evaluation: EvalCallback, progress: Progress | None) -> None:
         super().__init__()
@@ -182,11 +189,11 @@ class _Report(BaseCallback):
 
 
 def to_onnx(model: OnPolicyAlgorithm, layout: ObservationLayout, **training: Any) -> bytes:
-    """The deterministic actor as an ONNX file: observations (R, size) float32 to clipped mean actions, float32.
+    """Export the deterministic actor of a model: the content of a file that :func:`ptne_env.learn.load` reads.
 
     Args:
-        model: PPO or A2C with an ``MlpPolicy`` on a flat observation.
-        layout: of the environments it was trained in.
+        model: a PPO or A2C with an ``MlpPolicy`` on a flat observation.
+        layout: the layout of the environments in which it was trained.
         **training: how it was trained, for the metadata.
     """
     content = io.BytesIO()
@@ -211,7 +218,7 @@ def to_onnx(model: OnPolicyAlgorithm, layout: ObservationLayout, **training: Any
 
 
 class _Actor(nn.Module):
-    """What ``predict`` of a model does: its mean action, clipped to the action box."""
+    """The mean action of a model, clipped to the action box, as its ``predict`` returns it."""
 
     def __init__(self, policy: ActorCriticPolicy) -> None:
         super().__init__()

@@ -33,21 +33,21 @@ from ptne_env.learn.recurrent import (
     MOST_REPEATS,
     RecurrentPolicy,
     Weights,
-    decide,
     initial_memory,
     initial_weights,
     open_policy,
     read,
+    run_network,
     seal,
 )
 from ptne_env.shared.arrays import require_count, require_positive, require_probability, without_gradient
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites.suite import find_scenario
-from ptne_env.training.configuration import CONFIGURATION, SUMMARY, Summary, finished, write_record
+from ptne_env.training.configuration import CONFIGURATION, SUMMARY, RunSummary, read_finished_run, write_record
 from ptne_env.world import distances
 
 POLICY = "policy.npz"
-"""Name of the file of the policy."""
+"""The name of the file of the policy."""
 
 CURVE = "digits"
 """The metric of the learning curve."""
@@ -58,22 +58,23 @@ class Settings:
     """The definition of a run.
 
     Attributes:
-        scenario: name of the world in which it trains, as for ``ptne train``; of several worlds a name for them.
-        updates: of the weights. Each follows the mean slope in all worlds.
+        scenario: the name of the world in which the network trains, as for ``ptne train``; a name for several worlds.
+        updates: the number of updates of the weights. Each follows the mean slope in all worlds.
         cells: environments of a world times its players times its components, which is what an update costs.
-        window: steps between updates. Gradients end there; states and memories go on.
-        shrink: factor of the gradient with respect to the state, per step.
-        memory_shrink: factor of that with respect to what players remember.
-        rate: of the optimiser at the start; it falls to a fiftieth, along a cosine.
-        hidden: units of the network per component.
-        slot_hidden: units per component of each neighbour.
-        seed: of weights and episodes.
-        knows_costs: whether it learns the unit of costs; otherwise its actions do not depend on that unit.
-        action_repeat: steps for which an action is held. Training takes steps of that length, for longer windows.
-        start: file or name of a recurrent policy, from whose weights it starts; from random ones if empty.
+        window: the number of steps between updates. Gradients end there; states and memories go on.
+        shrink: the factor by which the gradient with respect to the state shrinks per step.
+        memory_shrink: the factor for the gradient with respect to what players remember.
+        rate: the learning rate at the start; it falls to a fiftieth, along a cosine.
+        hidden: the number of units of the network per component.
+        slot_hidden: the number of units per component of each neighbour.
+        seed: the seed of weights and episodes.
+        knows_costs: whether the network learns the unit of costs; otherwise its actions do not depend on that unit.
+        action_repeat: the number of steps for which an action is held. Training takes steps of that length, which makes
+            windows longer.
+        start: the file or name of a recurrent policy from whose weights the run starts; random weights if empty.
 
     Raises:
-        ValueError: when a value has another type or is out of its range, naming it.
+        ValueError: naming the value that has a wrong type or is out of its range.
     """
 
     scenario: str
@@ -102,12 +103,12 @@ class Settings:
 
 
 class Lesson:
-    """A world in which a network trains: episodes that go on from update to update, each in another phase.
+    """A world in which a network trains, with episodes that go on from update to update, each in another phase.
 
     Args:
         track: the world; its teammates, if any, follow the paper's static law.
-        settings: of the run.
-        key: draws the episodes.
+        settings: the definition of the run.
+        key: the key that draws the episodes.
     """
 
     def __init__(self, track: Track, settings: Settings, key: Any) -> None:
@@ -127,24 +128,24 @@ class Lesson:
         weights = initial_weights(np.random.default_rng(0), settings.hidden, settings.slot_hidden)
         memory = initial_memory(weights, layout, len(self._player), jnp)
         self._carry = self.world.reset(key, self.envs), memory
-        self._continue = jax.jit(self._continued, donate_argnums=(1,))
+        self._compiled_advance = jax.jit(self._advance, donate_argnums=(1,))
 
     def slope(self, weights: Weights) -> tuple[Weights, float]:
-        """The slope of the loss over a window, and the digits of the episodes that ended there, NaN if none did."""
+        """Play a window; return the slope of its loss and the digits of the episodes that ended, NaN if none did."""
         forced = np.zeros(self.envs, dtype=bool)
         if self._count < self._windows:  # so that episodes are in all phases
             first, last = (each * self.envs // self._windows for each in (self._count, self._count + 1))
             forced[first:last] = self._count > 0
         self._count += 1
         key = jax.random.fold_in(self._key, self._count)
-        slope, self._carry, ended = self._continue(weights, self._carry, key, forced)
+        slope, self._carry, ended = self._compiled_advance(weights, self._carry, key, forced)
         return slope, float(ended)
 
     def digits(self) -> float:
-        """The mean digits of the episodes that go on."""
+        """Return the mean digits of the episodes that go on."""
         return float(self.world.digits(self._carry[0]).mean())
 
-    def _continued(self, weights: Weights, carry: Any, key: Any, forced: Any) -> Any:
+    def _advance(self, weights: Weights, carry: Any, key: Any, forced: Any) -> Any:
         world = self.world
         (_, carry), slope = jax.value_and_grad(self._loss, has_aux=True)(weights, carry)
         state, memory = carry
@@ -156,7 +157,7 @@ class Lesson:
         return slope, (state, memory), ended
 
     def _loss(self, weights: Weights, carry: Any) -> Any:
-        """The mean over the window of the logarithm of the distance to the equilibrium."""
+        """Return the mean over a window of the logarithm of the distance to the equilibrium."""
         # A gradient computes each step again instead of storing its numbers, which is faster.
         again = jax.checkpoint(lambda carry, _: self._step(weights, carry), prevent_cse=False)
         carry, logarithms = jax.lax.scan(again, carry, length=self._settings.window)
@@ -169,8 +170,8 @@ class Lesson:
         seen = read(layout, observed.reshape(len(observed), -1), self._player)
         shrink, shrink_memory = self._settings.shrink, self._settings.memory_shrink
         share = 1 / len(self._player)  # of a player of an environment in the loss
-        memory = memory | {name: _short(memory[name], shrink_memory, share) for name in ("hidden", "slot_hidden")}
-        inputs, memory, _ = decide(weights, layout, seen, memory)
+        memory = memory | {name: _damp(memory[name], shrink_memory, share) for name in ("hidden", "slot_hidden")}
+        inputs, memory, _ = run_network(weights, layout, seen, memory)
         if self._stranger.any():
             theirs = self._kappa * (seen.live[:, None] * seen.relative).sum(0) - seen.gradient
             inputs = jnp.where(self._stranger.reshape(-1), theirs, inputs)
@@ -178,32 +179,32 @@ class Lesson:
         # The loss of a step has a slope of the order of one over the distance.
         distance = jnp.sqrt(distances.player_squares(state.estimates, state.game).sum(0))
         bound = without_gradient(1 / (self.envs * jnp.maximum(distance, distances.FLOOR)))
-        estimates, own_gradients = (_short(each, shrink, bound) for each in (state.estimates, state.own_gradients))
+        estimates, own_gradients = (_damp(each, shrink, bound) for each in (state.estimates, state.own_gradients))
         state = state._replace(estimates=estimates, own_gradients=own_gradients)
         if state.received is not None:
-            messages = _short(state.received.messages, shrink, bound)
+            messages = _damp(state.received.messages, shrink, bound)
             state = state._replace(received=state.received._replace(messages=messages))
         logarithms = -distances.digits(distances.player_distances(state.estimates, state.game))
         return (state, memory), jnp.where(state.diverged | self._stranger, 0.0, logarithms).mean()
 
 
 @jax.custom_vjp  # type: ignore[untyped-decorator]  # of JAX
-def _short(array: Any, factor: Any, bound: Any) -> Any:  # noqa: ARG001 - of its gradient
-    """The same array, whose gradient is cut to a norm, a bound of each of its last axis, and multiplied by a factor.
+def _damp(array: Any, factor: Any, bound: Any) -> Any:  # noqa: ARG001 - of its gradient
+    """Return the same array, but cut the norm of its gradient to a bound per environment, and multiply it by a factor.
 
     Gradients through a window explode in some environments, whose directions would otherwise drown those of the others.
     """
     return array
 
 
-def _cut(kept: Any, gradient: Any) -> Any:
+def _damp_gradient(kept: Any, gradient: Any) -> Any:
     factor, bound = kept
     norm = jnp.sqrt((gradient.astype(jnp.float64) ** 2).sum(tuple(range(gradient.ndim - 1))))
     scale = factor * jnp.minimum(1.0, bound / jnp.maximum(norm, 1e-300))
     return jnp.where(jnp.isfinite(norm), gradient * scale, 0.0).astype(gradient.dtype), None, None
 
 
-_short.defvjp(lambda array, factor, bound: (array, (factor, bound)), _cut)
+_damp.defvjp(lambda array, factor, bound: (array, (factor, bound)), _damp_gradient)
 
 
 def train(
@@ -211,7 +212,7 @@ def train(
     out: Path,
     progress: Callable[[int, int, float], None] | None = None,
     tracks: Sequence[Track] = (),
-) -> Summary:
+) -> RunSummary:
     """Train, and export; resume an interrupted run.
 
     The policy has the mean of the weights of the best twentieth of the run, by the digits of its episodes, because
@@ -219,21 +220,22 @@ def train(
     it with other episodes and a fresh optimiser. A finished run is not repeated. 64-bit numbers of JAX are switched on.
 
     Args:
-        settings: of the run.
-        out: folder for all files of the run; made if missing.
-        progress: called after every update with their number, that of all, and the digits of the last tenth.
-        tracks: the worlds in which it trains, two at a time; the scenario of the settings if left out.
+        settings: the definition of the run.
+        out: the folder for all files of the run; made if missing.
+        progress: a function to call after every update with the number of updates, their total, and the digits of the
+            last tenth.
+        tracks: the worlds of the training, two at a time; the scenario of the settings if left out.
 
     Raises:
         ValueError: for an unknown scenario, when ``out`` holds a run with other settings or a damaged one, or when
             ``start`` is a network of other sizes or without memory.
     """
-    if (ended := finished(settings, out, POLICY)) is not None:
+    if (ended := read_finished_run(settings, out, POLICY)) is not None:
         return ended
     jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
     began = saved = monotonic()
     tracks = tracks or [Track(settings.scenario, find_scenario(settings.scenario), "")]
-    weights = _start(settings)
+    weights = _starting_weights(settings)
     resumed_at, steps, reached = 0, 0, -math.inf
     if (out / POLICY).exists():
         before = open_policy(out / POLICY, (out / POLICY).read_bytes())
@@ -241,7 +243,7 @@ def train(
         resumed_at, steps, reached = so_far["done"], so_far["agent_steps"], so_far["digits"]
     best = mean = weights = jax.tree.map(jnp.asarray, weights)
     rate = optax.cosine_decay_schedule(settings.rate, settings.updates, 0.02)
-    optimiser = _optimiser(lambda count: rate(count + resumed_at))
+    optimiser = _make_optimiser(lambda count: rate(count + resumed_at))
     memory, curve = optimiser.init(weights), np.zeros((0, 2))
     key = jax.random.fold_in(jax.random.key(settings.seed), resumed_at)
     lessons = [Lesson(track, settings, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
@@ -251,12 +253,12 @@ def train(
         for done in range(resumed_at + 1, settings.updates + 1):
             slopes, digits = zip(*side_by_side.map(Lesson.slope, lessons, repeat(weights, len(lessons))), strict=True)
             # A mean of late weights has up to a digit more than the last ones.
-            memory, weights, mean = _moved(optimiser, slopes, memory, weights, mean, 20 / (done - resumed_at + 19))
+            memory, weights, mean = _update(optimiser, slopes, memory, weights, mean, 20 / (done - resumed_at + 19))
             steps += sum(lesson.agent_steps for lesson in lessons)
             if np.isfinite(digits).any():
                 curve = np.append(curve, [[steps, np.nanmean(digits)]], axis=0)
             if progress is not None:
-                progress(done, settings.updates, _late(curve))
+                progress(done, settings.updates, _late_digits(curve))
             if len(curve) > judged and (done % math.ceil(settings.updates / 20) == 0 or done == settings.updates):
                 recent, judged = float(curve[judged:, 1].mean()), len(curve)
                 best, reached = (mean, recent) if recent >= reached else (best, reached)
@@ -275,13 +277,13 @@ def train(
     buffer = io.BytesIO()
     np.savez(buffer, timesteps=[part[:, 0].mean() for part in parts], results=[part[:, 1:].mean(0) for part in parts])
     write_atomically(out / "evaluations.npz", buffer.getvalue())
-    summary = Summary(steps, resumed_at, monotonic() - began, _late(curve))
+    summary = RunSummary(steps, resumed_at, monotonic() - began, _late_digits(curve))
     write_record(out / SUMMARY, summary)
     return summary
 
 
-def _start(settings: Settings) -> Weights:
-    """The weights from which a run starts."""
+def _starting_weights(settings: Settings) -> Weights:
+    """Return the weights from which a run starts."""
     generator, sizes = np.random.default_rng(settings.seed), (settings.hidden, settings.slot_hidden)
     weights = initial_weights(generator, *sizes, settings.knows_costs, settings.action_repeat)
     if not settings.start:
@@ -295,8 +297,8 @@ def _start(settings: Settings) -> Weights:
     return start.weights | {name: weights[name] for name in GIVEN}
 
 
-def _optimiser(rate: Callable[[Any], Any]) -> Any:
-    """Muon for stacks of matrices, and Adam, at a fifth of the rate, for all other weights."""
+def _make_optimiser(rate: Callable[[Any], Any]) -> Any:
+    """Make the optimiser: Muon for stacks of matrices, and Adam, at a fifth of the rate, for all other weights."""
 
     def stacks(weights: Weights) -> Any:
         of_stack = MuonDimensionNumbers(reduction_axis=2, output_axis=1)
@@ -308,20 +310,20 @@ def _optimiser(rate: Callable[[Any], Any]) -> Any:
 
 
 @partial(jax.jit, static_argnums=0)
-def _moved(optimiser: Any, slopes: Any, memory: Any, weights: Weights, mean: Weights, share: float) -> Any:
-    """The memory of the optimiser, the weights after its step along the mean slope, and their running mean."""
+def _update(optimiser: Any, slopes: Any, memory: Any, weights: Weights, mean: Weights, share: float) -> Any:
+    """Take a step along the mean slope; return the optimiser's memory, the weights and their running mean."""
     # Steps along slopes of single worlds undo each other.
-    slope = jax.tree.map(lambda *each: sum(each) / len(slopes), *map(_clipped, slopes))
+    slope = jax.tree.map(lambda *each: sum(each) / len(slopes), *map(_clip, slopes))
     change, memory = optimiser.update(slope, memory, weights)
     weights = optax.apply_updates(weights, change)
     return memory, weights, jax.tree.map(lambda old, new: old + share * (new - old), mean, weights)
 
 
-def _clipped(slope: Weights) -> Weights:
-    """The slope, shortened to norm 1 if it is longer; 0 where it is not finite."""
+def _clip(slope: Weights) -> Weights:
+    """Shorten a slope to norm 1 if it is longer; one that is not finite becomes 0."""
     norm = jnp.sqrt(sum(jnp.vdot(leaf, leaf) for leaf in jax.tree.leaves(slope)))
     return jax.tree.map(lambda leaf: jnp.where(jnp.isfinite(norm), leaf / jnp.maximum(norm, 1.0), 0.0), slope)
 
 
-def _late(curve: Any) -> float:
+def _late_digits(curve: Any) -> float:
     return float(curve[-max(1, len(curve) // 10) :, 1].mean()) if len(curve) else -math.inf

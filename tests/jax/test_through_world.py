@@ -36,7 +36,7 @@ def test_the_network_is_the_same_in_numpy_and_jax():
     for _ in range(6):
         actions, memory = policy.predict(encoder.observe(state).reshape(15, -1), memory)
         observed = world.observe(world.state(state)).reshape(layout.size, -1)
-        again, memories, _ = recurrent.decide(WEIGHTS, layout, recurrent.read(layout, observed, player), memories)
+        again, memories, _ = recurrent.run_network(WEIGHTS, layout, recurrent.read(layout, observed, player), memories)
         by_row = np.asarray(again).reshape(5, 5, 3).transpose(2, 1, 0).reshape(15, 5)
         np.testing.assert_allclose(actions, by_row, rtol=1e-3, atol=1e-4 * np.abs(actions).max())
         state = dynamics.step(world.numpy, state, encoder.decode(actions.reshape(3, 5, 5), state))
@@ -45,20 +45,20 @@ def test_the_network_is_the_same_in_numpy_and_jax():
 def test_steps_in_training_are_as_long_as_actions_are_held():
     track, settings = get_suite("ptne-v1").track("short-deadline"), dataclasses.replace(SHORT, action_repeat=3)
     assert through_world.Lesson(track, settings, jax.random.key(0)).world.numpy.clock.steps == 10
-    assert through_world._start(settings)["action_repeat"] == 3
+    assert through_world._starting_weights(settings)["action_repeat"] == 3
     with pytest.raises(ValueError, match="action_repeat must be at most 100, got 101"):
         dataclasses.replace(SHORT, action_repeat=101)
 
 
 def test_a_run_starts_from_the_weights_of_a_recurrent_policy():
     name = "recurrent-random-worlds"
-    start = through_world._start(dataclasses.replace(SHORT, start=name, hidden=48, slot_hidden=24))
+    start = through_world._starting_weights(dataclasses.replace(SHORT, start=name, hidden=48, slot_hidden=24))
     given = {"knows_costs": np.ones(1), "action_repeat": np.ones(1)}  # those of the settings
     np.testing.assert_equal(start, load(name).weights | given)
     with pytest.raises(ValueError, match="ppo-random-energy has no memory: a run starts from the weights"):
-        through_world._start(dataclasses.replace(SHORT, start="ppo-random-energy"))
+        through_world._starting_weights(dataclasses.replace(SHORT, start="ppo-random-energy"))
     with pytest.raises(ValueError, match=r"hidden and slot_hidden of \(48, 24\), but the settings \(4, 3\)"):
-        through_world._start(dataclasses.replace(SHORT, start=name))
+        through_world._starting_weights(dataclasses.replace(SHORT, start=name))
 
 
 def test_gradients_are_finite_where_nothing_is_left_to_do():
@@ -99,7 +99,7 @@ def test_gradients_with_respect_to_states_are_cut_in_every_step():
 
 def test_gradients_are_cut_in_each_environment_and_lost_where_they_are_not_finite():
     given = np.array([[3.0, 0.3, np.inf, 0.0], [4.0, 0.4, 1.0, np.nan]], dtype=np.float32)
-    array, back = jax.vjp(lambda array: through_world._short(array, 0.5, np.ones(4)), np.ones_like(given))
+    array, back = jax.vjp(lambda array: through_world._damp(array, 0.5, np.ones(4)), np.ones_like(given))
     np.testing.assert_array_equal(array, np.ones_like(given))
     np.testing.assert_allclose(*back(given), [[0.3, 0.15, 0, 0], [0.4, 0.2, 0, 0]], rtol=1e-6)
 

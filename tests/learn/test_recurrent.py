@@ -157,7 +157,7 @@ def test_a_file_with_a_damaged_byte_is_refused_or_plays_the_same():
 def sealed_with(version=6, **changes):
     """A file whose SHA-256 is right, with some weights changed."""
     weights, buffer = WEIGHTS | changes, io.BytesIO()
-    described = {"version": version, "training": {}, "sha256": recurrent._digest(weights, {})}
+    described = {"version": version, "training": {}, "sha256": recurrent._compute_digest(weights, {})}
     np.savez_compressed(buffer, **weights, metadata=np.frombuffer(json.dumps(described).encode(), dtype=np.uint8))
     return buffer.getvalue()
 

@@ -64,7 +64,7 @@ def assert_decides_rows_alike(policy_of, observations_of, rows):
             np.testing.assert_array_equal(part.decide(observations, episode_start), actions[part.rows])
 
 
-@pytest.mark.parametrize("name", sorted({*POLICIES, *learn.shipped()}))
+@pytest.mark.parametrize("name", sorted({*POLICIES, *learn.shipped_names()}))
 def test_every_policy_of_the_library_decides_rows_alike(name):
     fitting = 0
     spec = get_policy_spec(name)

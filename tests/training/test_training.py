@@ -20,7 +20,7 @@ from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.report.tables import leaders
 from ptne_env.training import configurations, ppo
 from ptne_env.training.configuration import Configuration
-from ptne_env.training.curve import draw, learning_curve, yardsticks
+from ptne_env.training.curve import draw, evaluate_laws, read_learning_curve
 from ptne_env.training.ppo import to_onnx
 
 SCENARIO = ptne_env.get_scenario("random-energy", steps=40)
@@ -55,7 +55,7 @@ def test_a_configuration_is_a_file_or_a_scenario(tmp_path):
         assert Configuration.from_toml(name, steps=3) == Configuration(name, steps=3)
     for name in configurations():
         assert Configuration.from_toml(name).scenario.partition("/")[0] == name
-        assert f"ppo-{name}" in learn.shipped()
+        assert f"ppo-{name}" in learn.shipped_names()
 
 
 @pytest.mark.parametrize(
@@ -210,10 +210,10 @@ def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, algor
 
 def test_the_picture_shows_every_run(run, tmp_path):
     out, _, _ = run
-    steps, digits = learning_curve(out)
+    steps, digits = read_learning_curve(out)
     assert list(steps) == [70 * done for done in range(1, 11)]
     assert np.isfinite(digits).all()
-    laws = yardsticks(SCENARIO, 2)
+    laws = evaluate_laws(SCENARIO, 2)
     assert list(leaders(laws).values()) == ["the paper's law", "the best law"]
     draw(
         {"one": out, "two": out}, tmp_path / "curve.png", title="Training", steps=10, metric="digits_gained", laws=laws
@@ -224,4 +224,4 @@ def test_the_picture_shows_every_run(run, tmp_path):
     assert (213, 94, 0) in colours  # of the second run, which covers the first
     (tmp_path / "evaluations.npz").write_bytes(b"PK")
     with pytest.raises(ValueError, match=r"evaluations\.npz is no learning curve"):
-        learning_curve(tmp_path)
+        read_learning_curve(tmp_path)
