@@ -167,7 +167,7 @@ def results(data, tmp_path):
 def test_a_verification_runs_nothing_of_results_without_trust(change, results):
     folder = results(change)
     assert foreign_targets(read_results(folder)) == ["test_security:mark"]
-    with pytest.raises(ValueError, match=r"names code outside this library.*--trust"):
+    with pytest.raises(ValueError, match=r"names code from outside the library.*--trust"):
         verify(folder)
     error = CliRunner().invoke(app, ["verify", str(folder)]).exception
     assert "would run code from outside the library: say --trust" in str(error)

@@ -16,10 +16,10 @@ from ptne_env.shared.files import DamagedFileError
 
 
 class ExitCode(IntEnum):
-    """One per kind of fault."""
+    """The exit code for each kind of fault."""
 
     FAILED = 1
-    """A policy failed, numbers of a check differ, or an error that no other code is for."""
+    """A policy failed, numbers of a check differ, or there was an error that no other code stands for."""
     USAGE = 2
     """An unknown command, option or name, or a value out of range; typer uses it too."""
     FILE = 3
@@ -31,7 +31,7 @@ class ExitCode(IntEnum):
 
 
 class _Flags:
-    """Shows no type beside a flag in the help, where typer would write ``<bool>``."""
+    """Hide the type beside a flag in the help, where typer would write ``<bool>``."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]  # typer's
@@ -72,7 +72,7 @@ def _root(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
     quiet: Annotated[  # noqa: FBT002 - a flag
-        bool, typer.Option("--quiet", "-q", help="Print nothing but errors, and JSON for '--json -'.")
+        bool, typer.Option("--quiet", "-q", help="Print only errors, and the JSON of '--json -'.")
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,  # noqa: FBT002 - a flag
 ) -> None:
@@ -87,7 +87,7 @@ def main() -> None:
         app(prog_name="ptne")
     except SystemExit as ended:
         if ended.code == ExitCode.INTERRUPTED:
-            console(stderr=True).print("Interrupted: all files are complete; the same command keeps what they hold")
+            console(stderr=True).print("Interrupted: all files are complete, and the same command goes on from them")
         raise
     except (ConnectionError, ChildProcessError) as error:
         _fail(str(error), ExitCode.FAILED)

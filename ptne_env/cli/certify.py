@@ -1,4 +1,4 @@
-"""``ptne certify``: predictions before anything runs."""
+"""``ptne certify``: predict the result of a law before anything runs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from ptne_env import theory
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
-from ptne_env.cli.console import check_writable, console, json_text, say, write_json
+from ptne_env.cli.console import check_writable, console, say, write_json
 from ptne_env.evaluation import POLICIES
 from ptne_env.report.tables import certificate_tables
 from ptne_env.report.terminal import draw_table
@@ -18,19 +18,19 @@ from ptne_env.report.terminal import draw_table
 
 @app.command(cls=Command)
 def certify(
-    scenario: options.World,
+    scenario: options.ScenarioArgument,
     *,
     law: Annotated[
         str,
         typer.Option(
-            help="A law by name, such as static or grounded, or as 'module:object', which is called with the layout "
-            "and runs its own code.",
+            help="A law by name, such as static or grounded, or a 'module:object', which runs its own code and is "
+            "called with the layout.",
             autocompletion=lambda: list(POLICIES),
         ),
     ] = "static",
-    changes: options.Changes = None,
-    json: options.Json = None,
-    trust: options.Trust = False,
+    changes: options.SetOption = None,
+    json: options.JsonOption = None,
+    trust: options.TrustOption = False,
 ) -> None:
     """Predict the result of a law on a scenario before anything runs.
 
@@ -38,11 +38,11 @@ def certify(
     predicted at the deadline, and the largest stable step. docs/theory.md explains which of them are exact.
     """
     check_writable(json)
-    trust = options.trusted(options.foreign_names(scenario, law), trust=trust)
-    chosen = options.changed(scenario, changes, trust=trust)
+    trust = options.require_trust(options.foreign_names(scenario, law), trust=trust)
+    world = options.read_scenario(scenario, changes, trust=trust)
     with threadpool_limits(1):  # on matrices of this size several BLAS threads wait for each other
-        certificate = theory.certify(chosen, law=law)
-    write_json(json, json_text(certificate.to_dict()))
+        certificate = theory.certify(world, law=law)
+    write_json(json, certificate.to_dict())
     screen = console()
     for table in certificate_tables(certificate):
         screen.print(draw_table(table, screen.width))

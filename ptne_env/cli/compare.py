@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -25,11 +27,11 @@ SUITE = "ptne-v1"
 """The suite that is run where neither a suite nor a scenario is named."""
 
 _PAGE_SHARE = 25
-"""The part of the bar, in percent, that belongs to the figures of the page."""
+"""Percentage of the bar that belongs to the figures of the page."""
 
 
 def _complete_policy(incomplete: str) -> list[str]:
-    """Names of policies, after a comma too."""
+    """Return the names of policies, also after a comma."""
     done, comma, _ = incomplete.rpartition(",")
     return [f"{done}{comma}{name}" for name in POLICIES]
 
@@ -41,7 +43,7 @@ def compare(
         typer.Argument(
             metavar="SCENARIO",
             help="Scenarios by name or 'module:object', or tracks of one suite, such as ptne-v1/liar; with --suite "
-            "the names of tracks. All tracks of the suite if left out. See 'ptne list'.",
+            "the names of tracks, or all of its tracks if left out. See 'ptne list'.",
             autocompletion=world_names,
         ),
     ] = None,
@@ -57,67 +59,69 @@ def compare(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="A policy by name, an .onnx or .npz file, a Stable-Baselines3 .zip, 'module:object' that is called "
+            help="A policy by name, an .onnx or .npz file, a Stable-Baselines3 .zip, a 'module:object' that is called "
             "with the layout and returns something with predict(), or 'name=pattern' for the files of several training "
-            "seeds; separate several by commas, or repeat. If left out: every policy that 'ptne list' shows but "
-            "specialists; on scenarios, the paper's laws, references, the strongest laws and learned policies.",
+            "seeds. Separate policies by commas, or repeat the option. If left out: every policy that 'ptne list' "
+            "shows but specialists; on scenarios, the paper's laws, references, the strongest laws and learned "
+            "policies.",
             autocompletion=_complete_policy,
         ),
     ] = None,
-    changes: options.Changes = None,
+    changes: options.SetOption = None,
     episodes: Annotated[
         int | None,
         typer.Option(
             min=1,
-            help="Test episodes per scenario or track, the same for every policy.",
+            help="Number of test episodes per scenario or track, the same for every policy.",
             show_default=f"{EPISODES}, or the suite's own number",
         ),
     ] = None,
-    seed: options.Seed = 0,
+    seed: options.SeedOption = 0,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of results.json, results.csv, report.html and the finished jobs, from which an interrupted "
-            "run goes on. With '--json -' nothing is written unless it is given.",
+            help="Folder for results.json, results.csv, report.html and the finished jobs, from which an interrupted "
+            "run goes on. With '--json -' files are written only if a folder is named.",
             show_default="results/SUITE, or results/comparison",
         ),
     ] = None,
-    details: Annotated[bool, typer.Option("--details", help="Print the tables of all metrics too.")] = False,
+    details: Annotated[bool, typer.Option("--details", help="Also print the tables of all metrics.")] = False,
     with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the page report.html.")] = True,
-    rerun: Annotated[bool, typer.Option("--rerun", help="Compute every job again, also stored ones.")] = False,
-    jobs: Annotated[int, typer.Option(help="Tasks at a time; -1 for one per core.")] = -1,
+    rerun: Annotated[bool, typer.Option("--rerun", help="Run every job again, also stored ones.")] = False,
+    jobs: Annotated[int, typer.Option(help="Number of tasks at a time; -1 for one per core.")] = -1,
     ray: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="Run the tasks on a Ray cluster: auto, local, or HOST:6379."),
     ] = None,
-    json: options.Json = None,
-    trust: options.Trust = False,
+    json: options.JsonOption = None,
+    trust: options.TrustOption = False,
 ) -> None:
     """Run policies on a suite or on scenarios, and print how close they come to the equilibrium by the deadline.
 
-    The output is one table, one or two sentences and the place of the page, which has all metrics, the error over time
-    and an episode to play.
+    The output is one table, one or two sentences and the path of a page, which has all metrics, the error over time and
+    a player of an episode.
 
     Every policy is run from the same seeded episodes. Intervals are 95 % intervals of the mean over episodes and
     training seeds.
     """
-    suite, places = _tracks_of(suite, scenario or [])
-    names = [name for given in policy or () for name in given.split(",") if name]
+    suite, places = _split_names(suite, scenario or [])
+    names = [name for value in policy or () for name in value.split(",") if name]
     if policy and not names:
         raise ValueError("--policy names no policy: leave it out for the usual ones; 'ptne list policies' shows all")
-    trust = options.trusted(options.foreign_names(suite, *places, *names), trust=trust)
+    trust = options.require_trust(options.foreign_names(suite, *places, *names), trust=trust)
     title = "comparison" if suite is None else get_suite(suite).name
     folder = out or (None if json == STDOUT else Path("results") / title)
     files = [] if folder is None else [folder / "results.json", folder / "results.csv"]
     page = None if folder is None or not with_report else folder / "report.html"
     check_writable(json, page, *files)
     earlier = bool(files) and files[0].exists()
-    named = [get_policy_spec(name, trust=trust) for name in names]
+    policies = [get_policy_spec(name, trust=trust) for name in names]
+    run = _choose_run(suite, places, changes, policies, episodes, trust=trust)
     workers = Workers(jobs, ray)
     share = 100 if page is None else 100 - _PAGE_SHARE
     with progress(f"{title}: making the jobs") as advance:
         runner = Runner(folder, workers, lambda job, done, total: advance(round(share * done / total), 100, job), rerun)
-        results = _results(suite, places, changes, named, episodes, seed, runner, trust=trust)
+        results = run(seed=seed, run=runner)
         failed = [f"Failed: {name} on {place}: {reason}" for (place, name), reason in results.failures.items()]
         if not results.samples:
             say("\n".join(failed))
@@ -128,13 +132,13 @@ def compare(
             write_atomically(files[0], text + "\n")
             write_atomically(files[1], results.to_csv())
         if page is not None:
-            made = results_page(
+            html = results_page(
                 results,
                 shlex.join(["ptne", *sys.argv[1:]]),
                 workers,
                 lambda name, done, total: advance(share + _PAGE_SHARE * done // total, 100, f"figures: {name}"),
             )
-            write_atomically(page, made)
+            write_atomically(page, html)
     screen = console()
     if details:
         screen.print(result_tables(results, screen.width))
@@ -150,8 +154,8 @@ def compare(
         raise typer.Exit(ExitCode.FAILED)
 
 
-def _tracks_of(suite: str | None, names: list[str]) -> tuple[str | None, list[str]]:
-    """The suite that the names belong to, ``None`` for scenarios, and the names without it."""
+def _split_names(suite: str | None, names: list[str]) -> tuple[str | None, list[str]]:
+    """Return the suite that the names belong to, ``None`` for scenarios, and the names without it."""
     if not names:
         return suite or SUITE, []
     suites = {name.rpartition("/")[0] or suite for name in names} or {suite}
@@ -163,25 +167,23 @@ def _tracks_of(suite: str | None, names: list[str]) -> tuple[str | None, list[st
     return suites.pop(), [name.rpartition("/")[2] for name in names]
 
 
-def _results(
+def _choose_run(
     suite: str | None,
     places: list[str],
     changes: list[str] | None,
     policies: list[PolicySpec],
     episodes: int | None,
-    seed: int,
-    run: Runner,
     *,
     trust: bool,
-) -> Results:
-    """The results on tracks of a suite, on all without places, or on scenarios."""
+) -> Callable[..., Results]:
+    """Return what runs the tracks of a suite (all without places), or scenarios; it takes ``seed`` and ``run``."""
     if suite is not None:
         if changes:
             raise ValueError("--set changes scenarios; the tracks of a suite are as they are")
-        chosen = policies or [POLICIES[name] for name in ENTERED]
-        return run_suite(suite, chosen, tracks=places or None, episodes=episodes, seed=seed, run=run)
+        entries = policies or [POLICIES[name] for name in ENTERED]
+        return partial(run_suite, suite, entries, tracks=places or None, episodes=episodes)
     for name in places:
         if name in POLICIES:
-            raise ValueError(f"{name!r} is a policy, no scenario: write --policy {name}")
-    scenarios = [options.changed(name, changes, trust=trust) for name in places]
-    return evaluate(policies or COMPARED, scenarios, episodes=episodes or EPISODES, seed=seed, run=run)
+            raise ValueError(f"{name!r} is a policy, not a scenario: write --policy {name}")
+    scenarios = [options.read_scenario(name, changes, trust=trust) for name in places]
+    return partial(evaluate, policies or COMPARED, scenarios, episodes=episodes or EPISODES)

@@ -1,4 +1,4 @@
-"""The output of commands: console, progress, JSON on stdout, and files."""
+"""The output of commands: console, progress, JSON and files."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _PIPE_WIDTH = 172
 """Width of tables where the output is no terminal and ``COLUMNS`` is not set; rich would cut them to 80 columns."""
 
 _BLANKS = "\n\N{NO-BREAK SPACE}"
-"""Characters that are written as they are, although Python does not call them printable."""
+"""Characters that are written although Python does not call them printable."""
 
 _SPEED_PERIOD = 600.0
-"""Seconds over which a bar measures its speed; with fewer than two steps in this time it shows no time left."""
+"""Seconds over which a bar measures its speed; with fewer than two steps in this time it shows no remaining time."""
 
 STDOUT = "-"
 """The value of ``--json`` for stdout."""
@@ -38,8 +38,8 @@ class Output:
 
     Attributes:
         quiet: whether nothing is printed but errors and requested JSON.
-        debug: whether errors show a traceback.
-        stdout: descriptor of the real stdout while it is kept for JSON alone.
+        debug: whether an error shows its traceback.
+        stdout: the descriptor of the real stdout while it is kept for JSON; ``None`` at other times.
     """
 
     quiet: bool = False
@@ -51,7 +51,7 @@ output = Output()
 
 
 class _PrintableConsole(Console):
-    """A console whose texts cannot steer the terminal: escape sequences of names, paths and errors are spelled out."""
+    """A console that spells out escape sequences, so that no name, path or error can steer the terminal."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         for segment in super().render(renderable, options):
@@ -59,7 +59,7 @@ class _PrintableConsole(Console):
 
 
 def _printable(text: str) -> str:
-    """``text`` with every character that is neither printable, a blank nor the end of a line as in Python's source."""
+    """Return a text in which all characters but printable ones, blanks and ends of lines are written as in Python."""
     if text.isprintable():
         return text
     return "".join(
@@ -69,7 +69,7 @@ def _printable(text: str) -> str:
 
 
 def console(*, stderr: bool = False) -> Console:
-    """A console on stdout or stderr."""
+    """Return a console on stdout or stderr."""
     stream = sys.stderr if stderr else sys.stdout
     return _PrintableConsole(
         stderr=stderr,
@@ -81,25 +81,21 @@ def console(*, stderr: bool = False) -> Console:
 
 @contextmanager
 def progress(description: str, total: int | None = None) -> Iterator[Callable[..., None]]:
-    """A bar with the remaining time on stderr.
+    """Show a bar with the remaining time on stderr.
 
     Yields:
-        A function of the number of finished steps, one more if left out, the total and a description, as they were if
-        left out.
+        A function that takes the number of finished steps (one more if left out), the total, and a description (both
+        stay as they were if left out).
     """
-    columns = (
+    with Progress(
         TextColumn("{task.description}", table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis")),
         BarColumn(bar_width=20),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-    )
-    disable = output.quiet or not sys.stderr.isatty()
-    with Progress(
-        *columns,
         console=console(stderr=True),
         transient=True,
         expand=True,
-        disable=disable,
+        disable=output.quiet or not sys.stderr.isatty(),
         speed_estimate_period=_SPEED_PERIOD,
     ) as bar:
         task = bar.add_task(description, total=total)
@@ -111,20 +107,16 @@ def progress(description: str, total: int | None = None) -> Iterator[Callable[..
 
 
 def keep_stdout(context: typer.Context, value: str | None) -> str | None:
-    """With ``--json -``, send all other output to stderr, including that of other code and processes."""
+    """Send all other output to stderr for ``--json -``, including that of other code and processes."""
     if value == STDOUT and not context.resilient_parsing:
         output.stdout = os.dup(1)
         os.dup2(2, 1)
     return value
 
 
-def json_text(value: object) -> str:
-    """A JSON text without NaN or Infinity."""
-    return dumps(value, indent=2, allow_nan=False, ensure_ascii=False)
-
-
-def write_json(target: str | None, text: str) -> None:
-    """Write a JSON text to the value of ``--json``."""
+def write_json(target: str | None, content: object) -> None:
+    """Write content, or a JSON text, to the value of ``--json``; NaN and Infinity are errors."""
+    text = content if isinstance(content, str) else dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
     if target == STDOUT and output.stdout is not None:
         with os.fdopen(output.stdout, "w", encoding="utf-8", closefd=False) as stdout:
             stdout.write(text + "\n")
@@ -133,12 +125,12 @@ def write_json(target: str | None, text: str) -> None:
 
 
 def check_writable(*targets: str | Path | None) -> None:
-    """Fail before long work where a file cannot be written."""
+    """Raise an error before long work if a file cannot be written."""
     for target in targets:
         if target not in (None, STDOUT):
             require_writable(Path(target))
 
 
 def say(text: str) -> None:
-    """Print a line as it is, without wrapping."""
+    """Print a line without wrapping it."""
     console().print(Text(text), soft_wrap=True)

@@ -1,4 +1,4 @@
-"""``ptne list``: scenarios, policies, metrics and suites."""
+"""``ptne list``: show the scenarios, policies, metrics and tracks of suites."""
 
 from __future__ import annotations
 
@@ -12,14 +12,11 @@ from rich.text import Text
 
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
-from ptne_env.cli.console import check_writable, console, json_text, write_json
+from ptne_env.cli.console import check_writable, console, write_json
 from ptne_env.evaluation import METRICS, POLICIES
 from ptne_env.suites.suite import SUITES, get_suite
 from ptne_env.world.catalogue import CATALOGUE, DESCRIPTIONS
 from ptne_env.world.world import World
-
-Entry = tuple[str, str, str]
-"""A name, a sentence, and facts; some have none."""
 
 
 class Kind(StrEnum):
@@ -31,7 +28,8 @@ class Kind(StrEnum):
     SUITES = "suites"
 
 
-def _entries(kind: Kind) -> Iterator[Entry]:
+def _entries(kind: Kind) -> Iterator[tuple[str, str, str]]:
+    """Yield the names of a kind, each with a sentence and facts, which may be empty."""
     match kind:
         case Kind.SCENARIOS:
             for name, scenario in CATALOGUE.items():
@@ -55,20 +53,20 @@ def _entries(kind: Kind) -> Iterator[Entry]:
 
 @app.command("list", cls=Command)
 def list_(
-    kind: Annotated[list[Kind] | None, typer.Argument(help="The kinds of names. All if left out.")] = None,
-    json: options.Json = None,
+    kind: Annotated[list[Kind] | None, typer.Argument(help="The kinds of names; all if left out.")] = None,
+    json: options.JsonOption = None,
 ) -> None:
     """Show the scenarios, policies, metrics and tracks of suites, each with a sentence."""
     check_writable(json)
-    listed = {each: list(_entries(each)) for each in kind or Kind}
-    found = {
-        each: {name: {"description": sentence, "facts": facts} for name, sentence, facts in entries}
-        for each, entries in listed.items()
+    listed = {name: list(_entries(name)) for name in kind or Kind}
+    objects = {
+        name: {entry: {"description": sentence, "facts": facts} for entry, sentence, facts in entries}
+        for name, entries in listed.items()
     }
-    write_json(json, json_text(found))
+    write_json(json, objects)
     screen = console()
-    for each, entries in listed.items():
-        screen.print(Text(f"{each.capitalize()}\n", style="italic"))
+    for heading, entries in listed.items():
+        screen.print(Text(f"{heading.capitalize()}\n", style="italic"))
         for name, *texts in entries:
             screen.print(Text(name, style="bold"))
             for text, style in zip(texts, ("", "dim"), strict=True):

@@ -1,4 +1,4 @@
-"""Options and arguments that several commands share, and the words that the shell completes."""
+"""Options and arguments that several commands share, and the trust in code from outside the library."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ptne_env.suites.suite import find_scenario, world_names
 from ptne_env.world.catalogue import get_scenario
 from ptne_env.world.scenario import Scenario
 
-World: TypeAlias = Annotated[
+ScenarioArgument: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="SCENARIO",
@@ -26,15 +26,17 @@ World: TypeAlias = Annotated[
         autocompletion=world_names,
     ),
 ]
-Policy: TypeAlias = Annotated[
+PolicyArgument: TypeAlias = Annotated[
     str,
     typer.Argument(
-        help="A policy by name, .onnx or .npz file; a Stable-Baselines3 .zip and a 'module:object' run own code.",
+        metavar="POLICY",
+        help="A policy by name, or an .onnx or .npz file; a Stable-Baselines3 .zip and a 'module:object' run their own "
+        "code.",
         autocompletion=lambda: list(POLICIES),
     ),
 ]
-Seed: TypeAlias = Annotated[int, typer.Option(min=0, help="Seed of the random starts, games and noise.")]
-Trust: TypeAlias = Annotated[
+SeedOption: TypeAlias = Annotated[int, typer.Option(min=0, help="Seed of the random starts, games and noise.")]
+TrustOption: TypeAlias = Annotated[
     bool,
     typer.Option(
         "--trust",
@@ -42,17 +44,16 @@ Trust: TypeAlias = Annotated[
         "runs with your rights.",
     ),
 ]
-Json: TypeAlias = Annotated[
+JsonOption: TypeAlias = Annotated[
     str | None,
     typer.Option(
         "--json",
         metavar="FILE",
         callback=keep_stdout,
-        help="Write the results as JSON to this file; '-' for stdout, where nothing else is printed then.",
+        help="Write the results as JSON to this file, or to stdout for '-'; then nothing else is printed there.",
     ),
 ]
-
-Changes: TypeAlias = Annotated[
+SetOption: TypeAlias = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
@@ -62,56 +63,63 @@ Changes: TypeAlias = Annotated[
 ]
 
 
-def changed(scenario: str, changes: Iterable[str] | None, *, trust: bool) -> Scenario:
-    """A scenario by name with fields of ``--set``, which its name tells too. Values are JSON, or else texts.
+def read_scenario(name: str, changes: Iterable[str] | None, *, trust: bool) -> Scenario:
+    """Return a scenario by name with the fields of ``--set``, which its new name tells too.
+
+    Args:
+        name: the name of a scenario or track, or ``"module:object"``.
+        changes: texts ``FIELD=VALUE``, whose values are JSON, or else texts.
+        trust: whether code from outside the library may run.
 
     Raises:
         ValueError: for a change of another form, an unknown field, or code that is not trusted.
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for change in changes or ():
         field, equals, text = change.partition("=")
         if not equals:
             raise ValueError(f"--set takes FIELD=VALUE, such as deadline=2; got {change!r}")
         try:
-            found[field] = loads(text)
+            values[field] = loads(text)
         except ValueError:
-            found[field] = text
-    texts = [value for value in found.values() if isinstance(value, str)]
-    trusted([*foreign_names(*texts), *foreign_targets(found)], trust=trust)
-    chosen = find_scenario(scenario)
-    return get_scenario(chosen, **{"name": " ".join([chosen.name, *(changes or ())]), **found})
+            values[field] = text
+    texts = [value for value in values.values() if isinstance(value, str)]
+    require_trust([*foreign_names(*texts), *foreign_targets(values)], trust=trust)
+    scenario = find_scenario(name)
+    return get_scenario(scenario, **{"name": " ".join([scenario.name, *(changes or ())]), **values})
 
 
 def foreign_names(*names: str | None) -> list[str]:
-    """The names that run code from outside the library: a ``"module:object"``, or an archive. Nothing is imported.
+    """Return the names that run code from outside the library, without importing anything.
+
+    They are each ``"module:object"`` and each archive.
 
     Args:
-        names: of policies, scenarios, suites and tracks (``"module:object/track"``), as commands take them.
+        names: the names of policies, scenarios, suites and tracks (``"module:object/track"``), as commands take them.
     """
-    found = []
+    foreign = []
     for name in filter(None, names):
         path = name.partition("=")[2] or name
         target = name.partition("/")[0]
         if path.endswith(".zip"):
-            found.append(path)
+            foreign.append(path)
         elif ":" in target and not path.endswith((".onnx", ".npz")) and not is_part(target):
-            found.append(target)
-    return found
+            foreign.append(target)
+    return foreign
 
 
-def trusted(foreign: Iterable[str], *, trust: bool) -> bool:
-    """Whether code from outside the library may run; without ``--trust``, a terminal is asked.
+def require_trust(foreign: Iterable[str], *, trust: bool) -> bool:
+    """Return whether code from outside the library may run, after asking the user where there is no ``--trust``.
 
     If it may, ``module:object`` also finds files of the current folder, after all others.
 
     Args:
-        foreign: the ``module:object`` and the files that hold such code.
+        foreign: each ``module:object`` and each file with such code.
         trust: the value of ``--trust``.
 
     Raises:
-        ValueError: when there is such code, no trust and no terminal.
-        typer.Abort: when the answer is no.
+        ValueError: when there is such code, no ``--trust`` and no terminal on which to ask.
+        typer.Abort: when the user does not trust the code.
     """
     named = ", ".join(dict.fromkeys(map(repr, foreign)))  # repr shows control characters as text
     if not named:

@@ -1,4 +1,4 @@
-"""``ptne render``: one episode as a video or a page."""
+"""``ptne render``: write one episode as a video or a page."""
 
 from __future__ import annotations
 
@@ -16,24 +16,21 @@ from ptne_env.report.video import MOST_PICTURES, save_video
 
 @app.command(cls=Command)
 def render(
-    scenario: options.World,
-    policy: options.Policy,
+    scenario: options.ScenarioArgument,
+    policy: options.PolicyArgument,
     *,
-    out: Annotated[
-        Path,
-        typer.Option(help="The file: a video, .gif, or a page with the episode to play, .html."),
-    ],
-    changes: options.Changes = None,
-    seed: options.Seed = 0,
+    out: Annotated[Path, typer.Option(help="The file: a video (.gif), or a page that plays the episode (.html).")],
+    changes: options.SetOption = None,
+    seed: options.SeedOption = 0,
     pictures: Annotated[
-        int, typer.Option(min=2, max=MOST_PICTURES, help="Pictures of a video; a page shows every step.")
+        int, typer.Option(min=2, max=MOST_PICTURES, help="Number of pictures in a video; a page shows every step.")
     ] = 100,
-    trust: options.Trust = False,
+    trust: options.TrustOption = False,
 ) -> None:
     """Write one test episode as a video or a page: strategies, estimates, distances and live links over time."""
     check_writable(out)
-    trust = options.trusted(options.foreign_names(scenario, policy), trust=trust)
-    chosen, spec = options.changed(scenario, changes, trust=trust), get_policy_spec(policy, trust=trust)
+    trust = options.require_trust(options.foreign_names(scenario, policy), trust=trust)
+    world, spec = options.read_scenario(scenario, changes, trust=trust), get_policy_spec(policy, trust=trust)
     with progress(f"{scenario}: {policy}") as advance:
-        save_video(chosen, spec, out, seed=seed, pictures=pictures, progress=advance)
+        save_video(world, spec, out, seed=seed, pictures=pictures, progress=advance)
     say(f"Episode written to {out}")

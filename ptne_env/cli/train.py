@@ -1,4 +1,4 @@
-"""``ptne train``: training a policy with PPO, or through the world."""
+"""``ptne train``: train a policy with PPO, or through the world."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import typer
 from ptne_env import training
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
-from ptne_env.cli.console import check_writable, json_text, progress, say, write_json
+from ptne_env.cli.console import check_writable, progress, say, write_json
 from ptne_env.evaluation import METRICS
 from ptne_env.suites import find_scenario
 from ptne_env.suites.suite import LAW
@@ -37,47 +37,48 @@ def train(
             autocompletion=training.configurations,
         ),
     ],
-    out: Annotated[
-        Path,
-        typer.Option(help="Folder for the policy, the learning curve and checkpoints; made if missing."),
-    ],
+    out: Annotated[Path, typer.Option(help="Folder for the policy, the learning curve and checkpoints.")],
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Seed of network, sampling and training games; the configuration's own if left out."),
+        typer.Option(
+            min=0, help="Seed of the network, sampling and training games; the configuration's own if left out."
+        ),
     ] = None,
     seeds: Annotated[
         int | None,
         typer.Option(
             min=1,
-            help="Train this many seeds, one after the other: --seed and the next ones, each in its folder "
+            help="Train with this many seeds, --seed and the next ones, one after the other, each in its own folder "
             "DIR/seed-SEED.",
         ),
     ] = None,
     steps: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Agent-steps, through the world updates of the weights; the configuration's own if left out."
+            min=1,
+            help="Number of agent-steps, or of updates of the weights with --through-world; the configuration's own "
+            "if left out.",
         ),
     ] = None,
-    json: options.Json = None,
+    json: options.JsonOption = None,
     *,
     through_world: Annotated[
         bool,
         typer.Option(
             "--through-world",
-            help="Train a recurrent policy by gradients through the world on JAX, in place of PPO; CONFIGURATION is a "
+            help="Train a recurrent policy by gradients through the world on JAX instead of PPO; CONFIGURATION is a "
             "scenario or track.",
         ),
     ] = False,
-    trust: options.Trust = False,
+    trust: options.TrustOption = False,
 ) -> None:
-    """Train a policy with PPO, and export it as policy.onnx; or through the world, as policy.npz.
+    """Train a policy with PPO and export it as policy.onnx, or through the world, as policy.npz.
 
     Draws the learning curve, learning-curve.png, beside the digits of the paper's law and of the best law, and prints
     the command that compares the policy.
 
-    An interrupted run goes on from its last checkpoint when the same command is given again. It ends with another
-    policy than an uninterrupted one.
+    The same command resumes an interrupted run from its last checkpoint. Its policy differs from that of an
+    uninterrupted run.
     """
     extra = "jax" if through_world else "sb3"
     try:
@@ -88,49 +89,44 @@ def train(
     except ImportError as error:
         raise ImportError(f'training needs an extra: pip install "ptne-env[{extra}]"') from error
 
-    given = {"seed": seed, "updates" if through_world else "steps": steps}
-    changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-    chosen: Run
-    if through_world:
-        chosen = trainer.Settings(configuration, **changes)
-    else:
-        chosen = Configuration.from_toml(configuration, **changes)
-    options.trusted(options.foreign_names(chosen.scenario), trust=trust)
-    runs = {out: chosen}
+    values = {"seed": seed, "updates" if through_world else "steps": steps}
+    changes: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
+    first: Run = (trainer.Settings if through_world else Configuration.from_toml)(configuration, **changes)
+    options.require_trust(options.foreign_names(first.scenario), trust=trust)
+    runs = {out: first}
     if seeds is not None:
-        series = [replace(chosen, seed=chosen.seed + index) for index in range(seeds)]
-        runs = {out / f"seed-{each.seed}": each for each in series}
+        series = [replace(first, seed=first.seed + index) for index in range(seeds)]
+        runs = {out / f"seed-{run.seed}": run for run in series}
     picture = out / "learning-curve.png"
     check_writable(json, picture, *(folder / trainer.POLICY for folder in runs))
-    ended = [folder for folder, each in runs.items() if read_finished_run(each, folder, trainer.POLICY)]
+    ended = [folder for folder, run in runs.items() if read_finished_run(run, folder, trainer.POLICY)]
     summaries = _train(runs, trainer)
-    found = [asdict(summary) for summary in summaries.values()]
-    write_json(json, json_text(found[0] if seeds is None else found))
+    objects = [asdict(summary) for summary in summaries.values()]
+    write_json(json, objects[0] if seeds is None else objects)
     for folder, summary in summaries.items():
         _say_result(folder / trainer.POLICY, summary, was_finished=folder in ended)
-    reached = [summary.digits for summary in summaries.values()]
+    digits = [summary.digits for summary in summaries.values()]
     if seeds is not None:
-        mean = sum(reached) / len(reached)
-        say(f"Mean of {seeds} seeds: {mean:.2f} digits, from {min(reached):.2f} to {max(reached):.2f}")
-    laws = evaluate_laws(find_scenario(chosen.scenario))
+        say(f"Mean of {seeds} seeds: {sum(digits) / seeds:.2f} digits, from {min(digits):.2f} to {max(digits):.2f}")
+    laws = evaluate_laws(find_scenario(first.scenario))
     law = laws.summary(laws.tracks[0].name, LAW, "digits")
-    if law is not None and law.mean is not None and max(reached) < law.mean:
+    if law is not None and law.mean is not None and max(digits) < law.mean:
         say(f"The paper's law, {LAW}, has {law.mean:.2f} digits on validation episodes: more --steps may beat it")
     draw(
-        {f"seed {each.seed}": folder for folder, each in runs.items()},
+        {f"seed {run.seed}": folder for folder, run in runs.items()},
         picture,
         title=f"Training of {configuration.removesuffix('.toml')}",
-        steps=max(each.agent_steps for each in summaries.values()),
+        steps=max(summary.agent_steps for summary in summaries.values()),
         metric=trainer.CURVE,
         laws=laws,
     )
     say(f"Learning curve written to {picture}")
     trained = f"trained={out}/seed-*/{trainer.POLICY}" if seeds is not None else str(out / trainer.POLICY)
-    say(f"To compare:  ptne compare {chosen.scenario} --policy {shlex.quote(f'static,{trained}')}")
+    say(f"To compare:  ptne compare {first.scenario} --policy {shlex.quote(f'static,{trained}')}")
 
 
 def _train(runs: Mapping[Path, Run], trainer: ModuleType) -> dict[Path, RunSummary]:
-    """Train one run after the other, with a progress bar for all of them; their summaries."""
+    """Train one run after the other, with a progress bar for all of them, and return their summaries."""
     summaries: dict[Path, RunSummary] = {}
     with progress("training") as advance:
         for folder, configuration in runs.items():

@@ -10,7 +10,7 @@ import typer
 
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, ExitCode, app
-from ptne_env.cli.console import check_writable, console, json_text, progress, say, write_json
+from ptne_env.cli.console import check_writable, console, progress, say, write_json
 from ptne_env.evaluation.results import read_results
 from ptne_env.execution.verification import SAMPLE
 from ptne_env.execution.verification import verify as run_verification
@@ -23,9 +23,11 @@ from ptne_env.shared.parts import foreign_targets
 def verify(
     results: Annotated[Path, typer.Argument(help="The file results.json of a comparison or suite, or its folder.")],
     *,
-    sample: Annotated[int, typer.Option(min=1, help="Jobs of every policy to run again; one of references.")] = SAMPLE,
-    trust: options.Trust = False,
-    json: options.Json = None,
+    sample: Annotated[
+        int, typer.Option(min=1, help="Number of jobs to run again for every policy; one for references.")
+    ] = SAMPLE,
+    trust: options.TrustOption = False,
+    json: options.JsonOption = None,
 ) -> None:
     """Rebuild all tables of published results from their samples, and run some jobs of every policy again.
 
@@ -35,17 +37,17 @@ def verify(
     The exit code is 0 when everything agrees, and 1 when something differs.
     """
     check_writable(json)
-    trust = options.trusted(foreign_targets(read_results(results)), trust=trust)
+    trust = options.require_trust(foreign_targets(read_results(results)), trust=trust)
     with progress("verifying") as advance:
         outcome = run_verification(
             results, sample=sample, trust=trust, progress=lambda job, total: advance(total=total, description=job)
         )
-    rows = [asdict(repetition) for repetition in outcome.repetitions]
-    found = {"differences": outcome.differences, "jobs": rows, "of": outcome.jobs}
-    write_json(json, json_text({**found, "same_arithmetic": outcome.same_arithmetic}))
+    jobs = [asdict(repetition) for repetition in outcome.repetitions]
+    summary = {"differences": outcome.differences, "jobs": jobs, "of": outcome.jobs}
+    write_json(json, {**summary, "same_arithmetic": outcome.same_arithmetic})
     screen = console()
     for table in verification_tables(outcome):
         screen.print(draw_table(table, screen.width))
-    say(f"{len(rows)} of {outcome.jobs} jobs were run again")
+    say(f"{len(jobs)} of {outcome.jobs} jobs were run again")
     if not outcome.passes:
         raise typer.Exit(ExitCode.FAILED)

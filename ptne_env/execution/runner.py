@@ -1,4 +1,4 @@
-"""Runs jobs on workers, and stores their results in a folder."""
+"""The runner, which runs jobs on workers and stores their results in a folder."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from ptne_env.execution.workers import Workers
 from ptne_env.shared.files import require_writable
 
 _STEP_COST = 5_000
-"""Numbers of estimates that take about as long as what a step needs whatever their number."""
+"""Number of estimates whose update takes about as long as the rest of a step."""
 
 
 @dataclass
 class Runner:
-    """Runs jobs, ``evaluate(..., run=Runner(folder, Workers(4)))``.
+    """A runner of jobs, such as ``evaluate(..., run=Runner(folder, Workers(4)))``.
 
-    Workers return results, and only this process writes: they may be machines that share no folder with it, but they
-    need the same library, and the same files of policies and parts.
+    Workers return results, and only this process writes. So they may be machines that share no folder with it, but they
+    need the same library and the same files of policies and parts.
 
     Attributes:
-        folder: in which the results of finished jobs are stored, so that they are not run again; nothing is stored if
-            ``None``.
-        workers: run the jobs. Only the measured times of policies depend on it.
-        progress: called with ``"track: policy"``, the work that is done and all work when a job is done, both as
-            :func:`cost_of`.
+        folder: the folder that stores the results of finished jobs, so that they are not run again; nothing is stored
+            if ``None``.
+        workers: the workers that run the jobs. Only the measured times of policies depend on them.
+        progress: called when a job is done, with ``"track: policy"``, the work that is done and the work of all jobs,
+            both in units of :func:`cost_of`.
         rerun: whether stored jobs are run again.
     """
 
@@ -39,20 +39,20 @@ class Runner:
     rerun: bool = False
 
     def __call__(self, jobs: Sequence[Job]) -> list[JobResult]:
-        """The results of jobs, in their order.
+        """Return the results of jobs, in their order.
 
         Raises:
-            OSError: when the folder cannot be written, before a job is run.
+            OSError: before any job is run, when the folder cannot be written.
             ValueError, ImportError, ConnectionError, ChildProcessError: as
                 :meth:`~ptne_env.execution.workers.Workers.run`.
         """
         store = None if self.folder is None else Store(Path(self.folder))
-        found: dict[int, JobResult] = {}
+        results: dict[int, JobResult] = {}
         total, done = sum(map(cost_of, jobs)), 0
 
         def finish(index: int, result: JobResult) -> None:
             nonlocal done
-            found[index] = result
+            results[index] = result
             done += cost_of(jobs[index])
             if self.progress is not None:
                 self.progress(f"{jobs[index].track.name}: {jobs[index].policy.name}", done, total)
@@ -72,20 +72,20 @@ class Runner:
             if store is not None:
                 store.save(jobs[missing[place]], result)
             finish(missing[place], result)
-        return [found[index] for index in range(len(jobs))]
+        return [results[index] for index in range(len(jobs))]
 
 
 def cost_of(job: Job) -> int:
-    """A rough measure of its work: the numbers in all estimates of all steps and episodes, and as much per step."""
+    """Return a rough measure of the work of a job: the estimates in all steps and episodes, and more per step."""
     game, clock = job.track.world.game, job.track.world.clock
     return clock.total_steps * (game.dimension * game.num_players * job.episodes.count + _STEP_COST)
 
 
 def _run_job(job: Job, key: str | None, metrics: dict[str, Metric]) -> JobResult:
-    """Run a job on a worker, which gets the metrics that the user registered.
+    """Run a job on a worker, with the metrics that the user registered.
 
     Raises:
-        ValueError: when the job has another ``key`` there, because the worker's libraries or files differ.
+        ValueError: when the job has another key on the worker, because libraries or files differ there.
     """
     METRICS.update(metrics)
     if key is not None and key_of(job) != key:

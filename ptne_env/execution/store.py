@@ -1,4 +1,4 @@
-"""The store: a folder with one file per finished job, so that an interrupted run goes on where it was."""
+"""The store of finished jobs, one file each, from which an interrupted run goes on."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ptne_env.world.dynamics import PHYSICS
 
 
 def content_of(job: Job) -> dict[str, Any]:
-    """Everything that the numbers of a job depend on, as a JSON object. Names of policies do not count."""
+    """Return all that the numbers of a job depend on, as a JSON object. The names of policies are not part of it."""
     policy, track = job.policy.to_dict(), job.track.to_dict()
     return {
         "physics": PHYSICS,
@@ -32,10 +32,10 @@ def content_of(job: Job) -> dict[str, Any]:
 
 
 def key_of(job: Job) -> str | None:
-    """The hash of :func:`content_of`, by which the result of a job is stored.
+    """Return the hash of :func:`content_of`, by which the result of a job is stored.
 
-    ``None`` where code of the user takes part: an object, a ``"module:object"`` or a metric, whose change no key shows.
-    Such a job runs every time.
+    It is ``None`` where code of the user takes part (an object, a ``"module:object"`` or a metric), because no key
+    shows that such code has changed. These jobs run every time.
     """
     content = content_of(job)
     own_metric = any(metric.is_own for metric in METRICS.values())
@@ -44,27 +44,27 @@ def key_of(job: Job) -> str | None:
 
 
 class Store:
-    """Results of jobs, one file each, named by the key of the job.
+    """A folder of results of jobs, one file each, named by the key of the job.
 
-    Several runs may share a folder: files are written atomically, and two runs that compute the same job write the same
-    numbers. A checksum covers the whole file. Jobs without a key, and failed ones, are not stored.
+    Several runs may share a folder, because files are written atomically and two runs of the same job write the same
+    numbers. A checksum covers the whole file. Jobs without a key and failed jobs are not stored.
 
     Args:
-        folder: of the results, made when the first one is stored.
+        folder: the folder, which is made when the first result is stored.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def path(self, key: str) -> Path:
-        """The file of the job with this key."""
+        """Return the file of the job with this key."""
         return self.folder / "jobs" / f"{key}.json"
 
     def find(self, job: Job) -> JobResult | None:
-        """The stored result; ``None`` where there is none, or a damaged file, so that the job has to be run.
+        """Return the stored result of a job, or ``None`` where there is none or its file is damaged.
 
         Raises:
-            OSError: when there is a file that cannot be read.
+            OSError: when the file cannot be read.
         """
         key = key_of(job)
         if key is None:
@@ -80,10 +80,10 @@ class Store:
         return JobResult(samples, reason)
 
     def save(self, job: Job, result: JobResult) -> None:
-        """Write the file of a job.
+        """Store the result of a job.
 
         Raises:
-            OSError: when it cannot be written.
+            OSError: when the file cannot be written.
         """
         key = key_of(job)
         if key is None or result.failure is not None:

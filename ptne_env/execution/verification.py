@@ -1,4 +1,4 @@
-"""Verification of published results: their tables are rebuilt, and a sample of their jobs runs again."""
+"""Verification of published results: their tables are rebuilt, and some of their jobs run again."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from ptne_env.shared.parts import foreign_targets
 from ptne_env.suites.suite import LAW, ORACLE, SUITES, ZERO, get_suite
 
 SAMPLE = 2
-"""Jobs of every entry that run again; of a reference policy, one."""
+"""Number of jobs of every policy that run again; one of a reference policy."""
 
 ROUNDING = 1e-6
-"""Largest |new − old|/(1 + |old|) of a value that repeats: it is rounded to seven decimals."""
+"""Largest |new − old|/(1 + |old|) with which a value repeats, because values are rounded to seven decimals."""
 
 _SUMS = 1e-9
-"""The same for numbers in tables, which differ by the order of sums alone."""
+"""Largest such difference of numbers in tables, in which only the order of sums differs."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,13 @@ class Repetition:
     """A job that was run again.
 
     Attributes:
-        track: name.
-        policy: name.
-        training_seed: index.
-        difference: the largest |new − old|/(1 + |old|) of any value; ``None`` where one run has a value that the other
-            has not.
-        agrees: whether it repeats; on another arithmetic, whether the 95 % intervals of all metrics overlap.
-        reason: why the new run has no numbers; ``None`` where it has.
+        track: the name of the track.
+        policy: the name of the policy.
+        training_seed: the index of the training seed.
+        difference: the largest |new − old|/(1 + |old|) of any value; ``None`` where only one of the runs has a value.
+        agrees: whether the numbers repeat, or with another arithmetic, whether the 95 % intervals of all metrics
+            overlap.
+        reason: why the new run has no numbers; ``None`` where it has them.
     """
 
     track: str
@@ -58,11 +58,11 @@ class Verification:
     """The outcome of a verification.
 
     Attributes:
-        differences: what is wrong with the tables and samples, one text each.
+        differences: a text for each fault of the tables and samples.
         repetitions: the jobs that were run again.
-        jobs: the number of all jobs.
+        jobs: the number of jobs in the results.
         same_arithmetic: whether this machine has the processor's extensions, the BLAS kernels and the versions of
-            libraries that the results were computed with. On others, rounding differs, and jobs are judged by
+            libraries with which the results were computed. Otherwise rounding differs, and jobs are judged by
             statistics.
     """
 
@@ -87,50 +87,46 @@ def verify(
 ) -> Verification:
     """Rebuild the tables of published results from their samples, and run some of their jobs again.
 
-    The decisions of each of these jobs are audited thoroughly.
+    The decisions in these jobs are audited thoroughly.
 
     Args:
-        path: of a file ``results.json``, or of its folder. The files of policies are found by their SHA-256 in the
-            folder, or at the paths that the results name.
-        sample: number of jobs of every entry.
-        seed: of the choice of jobs; unpredictable if left out.
-        trust: whether code outside this library that the results name may be executed.
-        progress: called with ``"track: policy"`` and the number of jobs to run when a job is done.
+        path: the path of a file ``results.json``, or of its folder. The files of policies are found by their SHA-256 in
+            the folder, or at the paths that the results name.
+        sample: the number of jobs of every policy that run again; one of a reference policy.
+        seed: the seed of the choice of jobs; unpredictable if left out.
+        trust: whether code from outside the library that the results name may run.
+        progress: called when a job is done, with ``"track: policy"`` and the number of jobs to run.
 
     Raises:
         OSError: when there are no results, or a file of a policy is missing.
-        ValueError: when the file is damaged, too large or of another kind, the results name code from outside the
-            library and ``trust`` is not set, or a policy was an object of another process.
+        ValueError: when the file is damaged, too large or of another kind, when the results name code from outside the
+            library and ``trust`` is not set, or when a policy was an object of another process.
     """
     require_count("sample", sample, 1)
     data = read_results(path)
     if not trust and (foreign := foreign_targets(data)):
         raise ValueError(
-            f"{path} names code outside this library, which a verification executes: {', '.join(foreign)}. Say that "
+            f"{path} names code from outside the library, which a verification runs: {', '.join(foreign)}. Say that "
             "you trust it (--trust)"
         )
     folder = path if path.is_dir() else path.parent
-    data = {**data, "policies": [_with_files(policy, folder) for policy in data["policies"]]}
+    data = {**data, "policies": [_locate_files(policy, folder) for policy in data["policies"]]}
     results = Results.from_dict(data)
     differences = [*_differences_of_rules(results, data), *_differences_of_samples(results)]
     if not differences:
         differences = list(_differences_of_tables(results, data))
     same = data["arithmetic"] == arithmetic() and data["versions"] == versions(data["versions"])
-    chosen, jobs = _chosen(results, sample, np.random.default_rng(seed))
+    sampled, jobs = _sample_jobs(results, sample, np.random.default_rng(seed))
     repetitions = []
-    for job in chosen:
+    for job in sampled:
         repetitions.append(_repeat(results, job, same_arithmetic=same))
         if progress is not None:
-            progress(f"{job.track.name}: {job.policy.name}", len(chosen))
+            progress(f"{job.track.name}: {job.policy.name}", len(sampled))
     return Verification(tuple(differences), tuple(repetitions), jobs, same)
 
 
-def _with_files(policy: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """A policy of results whose files are those in the folder of the results, where they are there.
-
-    Raises:
-        ValueError: when a file is not the one that was run.
-    """
+def _locate_files(policy: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the policy with the paths of the same files in the folder of the results, where there are such files."""
     here = {file_hash(file): str(file) for file in folder.rglob("*") if file.suffix in DATA.endings}
     seeds = []
     for seed in policy["training_seeds"]:
@@ -141,9 +137,9 @@ def _with_files(policy: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _differences_of_rules(results: Results, data: Mapping[str, Any]) -> Iterator[str]:
-    """Where the policies' files, or the rules of a published suite, are others."""
+    """Yield where the files of policies, or the rules of a published suite, differ from ours."""
     for spec, published in zip(results.policies.values(), data["policies"], strict=True):
-        hashes = [[seed.get("sha256") for seed in each["training_seeds"]] for each in (spec.to_dict(), published)]
+        hashes = [[seed.get("sha256") for seed in policy["training_seeds"]] for policy in (spec.to_dict(), published)]
         if hashes[0] != hashes[1]:
             yield f"the files of policy {spec.name} are not those that were run"
         if spec.name in (ZERO, LAW, ORACLE) and spec != POLICIES[spec.name]:
@@ -162,7 +158,7 @@ def _differences_of_rules(results: Results, data: Mapping[str, Any]) -> Iterator
 
 
 def _differences_of_samples(results: Results) -> Iterator[str]:
-    """Where samples are missing, or no run could give them."""
+    """Yield where samples are missing, or could not come from a run."""
     names = {name for name, metric in METRICS.items() if metric.value is not None}
     for track in results.tracks:
         for policy, spec in results.policies.items():
@@ -182,7 +178,7 @@ def _differences_of_samples(results: Results) -> Iterator[str]:
 
 
 def _differences_of_tables(results: Results, data: Mapping[str, Any]) -> Iterator[str]:
-    """Where a record does not follow from the samples."""
+    """Yield where a record does not follow from the samples."""
     rebuilt = {_name(record): record for record in results.records if not METRICS[record["metric"]].is_timing}
     published = {_name(record): record for record in data["records"]}
     for name in rebuilt.keys() | published.keys():
@@ -197,15 +193,15 @@ def _name(record: Mapping[str, Any]) -> str:
     return f"{record.get('metric')} of {record.get('policy')} on {record.get('track')}"
 
 
-def _is_same(found: Any, rebuilt: Any) -> bool:
-    if isinstance(rebuilt, float) and isinstance(found, float):
-        return abs(found - rebuilt) <= _SUMS * (1 + abs(rebuilt))
-    return type(found) is type(rebuilt) and bool(found == rebuilt)
+def _is_same(published: Any, rebuilt: Any) -> bool:
+    if isinstance(rebuilt, float) and isinstance(published, float):
+        return abs(published - rebuilt) <= _SUMS * (1 + abs(rebuilt))
+    return type(published) is type(rebuilt) and bool(published == rebuilt)
 
 
-def _chosen(results: Results, sample: int, generator: np.random.Generator) -> tuple[list[Job], int]:
-    """Some jobs of every policy, and the number of all jobs."""
-    found, total = [], 0
+def _sample_jobs(results: Results, sample: int, generator: np.random.Generator) -> tuple[list[Job], int]:
+    """Return some jobs of every policy, and the number of jobs in the results."""
+    sampled, total = [], 0
     for spec in results.policies.values():
         jobs = [
             Job(track, spec, training_seed, results.episode_sets[track.name])
@@ -213,13 +209,12 @@ def _chosen(results: Results, sample: int, generator: np.random.Generator) -> tu
             for training_seed in range(len(spec.training_seeds))
         ]
         count = 1 if spec.name in (ZERO, LAW, ORACLE) else sample
-        found += [jobs[index] for index in sorted(generator.permutation(len(jobs))[:count])]
+        sampled += [jobs[index] for index in sorted(generator.permutation(len(jobs))[:count])]
         total += len(jobs)
-    return found, total
+    return sampled, total
 
 
 def _repeat(results: Results, job: Job, *, same_arithmetic: bool) -> Repetition:
-    """Run a job again."""
     place, new = (job.track.name, job.policy.name), job.compute(thorough=True)
     repetition = partial(Repetition, *place, job.training_seed, reason=new.not_applicable or new.failure)
     if place in results.not_applicable:
@@ -232,19 +227,19 @@ def _repeat(results: Results, job: Job, *, same_arithmetic: bool) -> Repetition:
     difference = _difference(old, new)
     if same_arithmetic:
         return repetition(difference=difference, agrees=difference is not None and difference <= ROUNDING)
-    agrees = all(_overlap(old[name], new.samples[name]) for name in _repeated(old))
+    agrees = all(_overlap(old[name], new.samples[name]) for name in _comparable_metrics(old))
     return repetition(difference=difference, agrees=agrees and old.keys() == new.samples.keys())
 
 
-def _repeated(samples: Mapping[str, FloatArray]) -> list[str]:
-    """The metrics that another run repeats: all but timings."""
+def _comparable_metrics(samples: Mapping[str, FloatArray]) -> list[str]:
+    """Return the metrics that another run repeats: all but timings."""
     return [name for name in samples if name in METRICS and not METRICS[name].is_timing]
 
 
 def _difference(old: Mapping[str, FloatArray], new: JobResult) -> float | None:
-    """The largest |new − old|/(1 + |old|); ``None`` where one has a value and the other has none."""
+    """Return the largest |new − old|/(1 + |old|); ``None`` where only one of the runs has a value."""
     largest = 0.0
-    for name in _repeated(old):
+    for name in _comparable_metrics(old):
         mine, theirs = new.samples.get(name), old[name]
         if mine is None or mine.shape != theirs.shape or (np.isnan(mine) != np.isnan(theirs)).any():
             return None
@@ -253,7 +248,7 @@ def _difference(old: Mapping[str, FloatArray], new: JobResult) -> float | None:
 
 
 def _overlap(old: FloatArray, new: FloatArray) -> bool:
-    """Whether the 95 % intervals of two means overlap, up to rounding; one episode tells nothing of a distribution."""
+    """Return whether the 95 % intervals of two means overlap up to rounding; single episodes always do."""
     if old.size < 2 or old.shape != new.shape:
         return old.shape == new.shape
     mine, theirs = estimate([new[None]]), estimate([old[None]])

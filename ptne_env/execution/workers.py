@@ -1,4 +1,4 @@
-"""Workers: many tasks at once, on the cores of this machine through joblib, or on a Ray cluster."""
+"""Workers, which run many tasks at once: on the cores of this machine through joblib, or on a Ray cluster."""
 
 from __future__ import annotations
 
@@ -22,28 +22,24 @@ from ptne_env.shared.arrays import require_count
 Result = TypeVar("Result")
 
 RETRIES = 3
-"""How often Ray runs a task again whose worker or machine died."""
-
-_PERIOD = 0.5
-"""Seconds between two looks at the parent."""
+"""Number of times that Ray runs a task again whose worker or machine died."""
 
 _LOST = "a worker process died, often for lack of memory (fewer jobs need less); stored results are kept"
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Processes that run tasks. The results do not depend on their number or place.
+    """Processes that run tasks; the results do not depend on their number or place.
 
-    Processes of this machine end with this process, even if it is killed, and leave Ctrl-C to it.
+    Processes on this machine end with this process, even if it is killed, and leave Ctrl-C to it.
 
     Attributes:
-        jobs: tasks at a time; −1 for one per core. A cluster runs one per core of its own.
-        ray: address of a Ray cluster: ``"auto"`` (the one that this machine or ``RAY_ADDRESS`` belongs to),
-            ``"local"`` (a new one on this machine) or such as ``"10.0.0.1:6379"``; processes of this machine if
-            ``None``.
+        jobs: the number of tasks at a time; −1 for one per core. A cluster runs one per core of its own.
+        ray: the address of a Ray cluster: ``"auto"`` (the one of this machine or of ``RAY_ADDRESS``), ``"local"`` (a
+            new one on this machine) or one such as ``"10.0.0.1:6379"``; ``None`` for processes on this machine.
 
     Raises:
-        ValueError: for no jobs.
+        ValueError: when the number of jobs is 0 or below −1.
     """
 
     jobs: int = 1
@@ -54,16 +50,16 @@ class Workers:
             raise ValueError("0 jobs would do nothing; ask for at least one, or for -1, one per core")
 
     def run(self, function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]) -> Iterator[tuple[int, Result]]:
-        """Call ``function(*task)`` for every task, and yield (index of the task, result) as they are finished.
+        """Call ``function(*task)`` for every task, and yield its index and its result when it is finished.
 
-        The function and its arguments are pickled, and may run on another machine: the caller writes the results.
+        The function and its arguments are pickled and may run on another machine, so the caller writes the results.
 
         Raises:
             ValueError: when a task cannot be pickled.
             ImportError: when joblib or ray is missing and needed.
             ConnectionError: when there is no cluster at the address.
-            ChildProcessError: when a worker died, on a cluster more often than Ray repeats its task. An error
-                of a task is raised here.
+            ChildProcessError: when a worker died, on a cluster more often than Ray repeats its task.
+            Exception: any error of a task.
         """
         if self.ray is not None:
             yield from _on_cluster(self.ray, function, tasks)
@@ -91,7 +87,7 @@ def _on_processes(
         max_nbytes=None,  # joblib makes no folders for large arrays then, which stay behind when processes are killed
         temp_folder=tempfile.gettempdir(),
     )
-    calls = (delayed(_numbered)(index, function, task) for index, task in enumerate(tasks))
+    calls = (delayed(_call_with_index)(index, function, task) for index, task in enumerate(tasks))
     try:
         with ExitStack() as stack:
             with _ctrl_c_waits():
@@ -110,10 +106,10 @@ def _on_processes(
 
 
 def _end_with_parent(parent: int) -> None:
-    """End this new process soon after its parent, by id, is gone, and leave Ctrl-C to the parent.
+    """End this new process soon after its parent, given by id, is gone, and leave Ctrl-C to the parent.
 
-    A parent that is killed cannot end its processes itself. On Windows the id of the parent stays, and so does this
-    process.
+    A parent that is killed cannot end its processes itself. On Windows the parent's id does not change, so this process
+    stays.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()
@@ -121,24 +117,24 @@ def _end_with_parent(parent: int) -> None:
 
 def _watch(parent: int) -> None:
     while os.getppid() == parent:
-        time.sleep(_PERIOD)
+        time.sleep(0.5)
     os._exit(1)
 
 
 def _end(results: Generator[Any, None, None]) -> None:
-    """End the tasks that are unfinished after an error, Ctrl-C, or a caller that wants no more results."""
+    """End unfinished tasks after an error, after Ctrl-C, or when the caller wants no more results."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # joblib counts the results that are lost
         results.close()
 
 
-def _numbered(index: int, function: Callable[..., Result], task: tuple[Any, ...]) -> tuple[int, Result]:
+def _call_with_index(index: int, function: Callable[..., Result], task: tuple[Any, ...]) -> tuple[int, Result]:
     return index, function(*task)
 
 
 @contextmanager
 def _ctrl_c_waits() -> Iterator[None]:
-    """Delay Ctrl-C to the end of the block; processes that start in it never see it, not even while they import."""
+    """Delay Ctrl-C to the end of the block; processes that start in the block never see it, even while they import."""
     if not hasattr(signal, "pthread_sigmask"):  # on Windows
         yield
         return
@@ -153,7 +149,7 @@ def _ctrl_c_waits() -> Iterator[None]:
 def _on_cluster(
     address: str, function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]]
 ) -> Iterator[tuple[int, Result]]:
-    """Every task is one of Ray's on one core: Ray shares them out, and runs those of a dead machine again elsewhere."""
+    """Run each task as a task of Ray on one core; Ray runs those of a dead machine again elsewhere."""
     try:
         import ray
         from ray import exceptions
@@ -162,7 +158,7 @@ def _on_cluster(
     if not ray.is_initialized():
         _require_answer(address)
         ray.init(address=address, log_to_driver=False, logging_level="error")
-    remote = ray.remote(num_cpus=1, max_retries=RETRIES)(_numbered)
+    remote = ray.remote(num_cpus=1, max_retries=RETRIES)(_call_with_index)
     running = [remote.remote(index, function, task) for index, task in enumerate(tasks)]
     try:
         while running:
@@ -178,7 +174,7 @@ def _on_cluster(
 
 
 def _require_answer(address: str) -> None:
-    """Fail at once where nothing listens, where Ray itself would try for minutes."""
+    """Raise an error at once if nothing listens at the address, where Ray would try for minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if not (host and port.isdigit()):
         return

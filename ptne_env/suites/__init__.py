@@ -1,8 +1,4 @@
-"""Suites: published tracks with their rules.
-
-- ``suite``: what a suite is, and how policies are run on it; ``ptne_v1``, ``robustness``: ours
-- ``leaderboard``: scores and ranks
-"""
+"""Suites: published tracks, the rules by which policies are run on them, and leaderboards."""
 
 from ptne_env.suites.suite import Suite as Suite
 from ptne_env.suites.suite import find_scenario as find_scenario

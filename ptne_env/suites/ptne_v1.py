@@ -1,4 +1,4 @@
-"""The suite ptne-v1: tracks that each change one thing of the base."""
+"""The suite ptne-v1, whose tracks each change one thing of a base."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from ptne_env.world.catalogue import get_scenario
 part = FactorySpec.of
 
 RANGE = 100.0
-"""R, 3 to 5 times the largest start or equilibrium: starts are U(−20, 20), equilibria of energy games within ±33."""
+"""Range R of messages, 3 to 5 times the largest start (20) or equilibrium of an energy game (33)."""
 
 
 def _noisy(std: float, *stages: FactorySpec) -> FactorySpec:
-    """A channel of stages, the last of which is noise."""
+    """Return a channel of stages, the last of which is noise."""
     noise = part("channel:noise", std=std)
     return part("channel:chain", stages=[*stages, noise]) if stages else noise
 
 
 def _graphs(players: int, probability: float) -> FactorySpec:
-    """Every episode draws one of 100 connected random graphs, in which each pair is linked with a probability."""
+    """Return 100 connected random graphs with this probability of each link, one of which every episode draws."""
     return part("topology:random-graphs", players=players, probability=probability)
 
 
 LINKS = ((0, 1), (1, 2), (2, 3), (3, 4), (4, 0), (0, 2), (0, 3))
-"""The links that go up and down at random: the 5-cycle and two chords."""
+"""Links that go up and down at random: the 5-cycle and two chords."""
 
 BASE = get_scenario("random-energy").replace(
     topology=_graphs(5, 0.4), slots=4, channel=_noisy(0.001), message_range=RANGE, steps=300
 )
-"""Random energy games of five players, each on a graph of its own; messages carry noise."""
+"""Random energy games of five players, each on its own random graph, with noise on messages."""
 
 
 def _track(

@@ -1,7 +1,7 @@
-"""Random worlds outside suite and catalogue, on which a policy is good if it is never bad.
+"""The suite robustness: random worlds unlike those of the catalogue, on which a good policy is never bad.
 
-Every number of a world is drawn as in a Latin hypercube: of 40 equal parts of its range, each has one world. So every
-seed has as many large games, switching graphs, lossy channels and so on, in other combinations.
+Every number of a world is drawn as in a Latin hypercube: each of 40 equal parts of its range holds one world. So every
+seed has the same shares of large games, switching graphs, lossy channels and so on, in other combinations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ptne_env.world.scenario import Scenario
 WORLDS = 40
 
 EPISODES = 8
-"""Episodes of a world; large games, which take most of the time, have half as many."""
+"""Number of episodes of a world; large games, which take most of the time, have half as many."""
 
 DRAWS = (
     *("clean", "players", "components", "steps", "deadline", "pace", "end"),  # the clock and the size
@@ -27,13 +27,13 @@ DRAWS = (
     *("graph", "links", "modes", "dwell", "pool"),  # the graph
     *("bias", "noise", "tails", "late", "onset", "rounding", "loss", "burst", "delay", "range"),  # the channel
 )
-"""What is drawn per world, each uniform in (0, 1)."""
+"""Names of the numbers that are drawn per world, each uniform in (0, 1)."""
 
 part = FactorySpec.of
 
 
 def robustness(seed: int = 1) -> Suite:
-    """The suite of 40 random worlds of a seed; 1 is the published one."""
+    """Return the suite of the 40 random worlds of a seed; that of seed 1 is published."""
     generator = np.random.default_rng(seed)
     parts = {name: generator.permutation(WORLDS) + generator.random(WORLDS) for name in DRAWS}
     tracks = []
@@ -43,18 +43,18 @@ def robustness(seed: int = 1) -> Suite:
     return Suite("robustness" if seed == 1 else f"robustness-{seed}", tuple(tracks), EPISODES)
 
 
-def _between(unit: float, low: float, high: float) -> float:
-    """The number at ``unit`` of a logarithmic scale from low to high, with three digits."""
+def _scale_log(unit: float, low: float, high: float) -> float:
+    """Return the number at ``unit``, in (0, 1), of a logarithmic scale from low to high, with three digits."""
     return float(f"{low * (high / low) ** unit:.3g}")
 
 
 def _maybe(unit: float, share: float, low: float, high: float) -> float:
-    """0 in all but a ``share`` of the worlds, and there a number from low to high."""
-    return _between(unit / share, low, high) if unit < share else 0.0
+    """Return a number from low to high in a ``share`` of the worlds, and 0 in the others."""
+    return _scale_log(unit / share, low, high) if unit < share else 0.0
 
 
 def _track(name: str, drawn: dict[str, float], generator: np.random.Generator) -> Track:
-    """The world of some draws; the generator draws links alone."""
+    """Return the world of some draws; the generator draws only links."""
     players = int(np.interp(drawn["players"], (0.0, 0.1, 0.8, 0.9, 1.0), (2, 3, 9, 20, 41)))
     game, largest, size, told = _game(players, drawn)
     links = _links(players, drawn["links"], generator)
@@ -62,14 +62,14 @@ def _track(name: str, drawn: dict[str, float], generator: np.random.Generator) -
     probability = round(min(1.0, 1.5 * math.log(players + 1) / players), 2)
     degree = (players - 1) * probability if kind == "episode" else 2 * len(links) / players
     # The paper's law with κ = 2 is stable up to Θ = 2/(ι + 2 λ_max(L)), about; the steps are 0.25 to 0.8 of that.
-    step = _between(drawn["pace"], 0.5, 1.6) / (largest + 2 * min(players, degree + 3))
-    wanted = _between(drawn["steps"], 50, 2000)
+    step = _scale_log(drawn["pace"], 0.5, 1.6) / (largest + 2 * min(players, degree + 3))
+    wanted = _scale_log(drawn["steps"], 50, 2000)
     end = 5 + 2 * drawn["end"]
     steps = round(max(min(wanted, 6_000 / players), 1.2 * end / step))
-    deadline = _between(drawn["deadline"], 0.1, 10)
+    deadline = _scale_log(drawn["deadline"], 0.1, 10)
     gain = float(f"{max(steps * step - end, 0.2 * end) / deadline:.3g}")
     topology, change = _topology(kind, players, links, probability, drawn, (deadline, gain, end, steps))
-    factor = _between(drawn["start"], 0.01, 100)
+    factor = _scale_log(drawn["start"], 0.01, 100)
     reach = float(f"{min(size * factor, 1000.0):.3g}")
     stages, troubles = _channel(size, steps, drawn)
     limit = float(f"{(3 + 2 * drawn['range']) * max(size, reach):.3g}") if drawn["range"] < 0.5 else None
@@ -95,10 +95,10 @@ def _track(name: str, drawn: dict[str, float], generator: np.random.Generator) -
 
 
 def _game(players: int, drawn: dict[str, float]) -> tuple[FactorySpec, float, float, str]:
-    """A family of games, the largest curvature, the size of equilibria (in a box the box), and a description."""
-    stiffness, ratio = _between(drawn["stiffness"], 0.3, 3), _between(drawn["ratio"], 2, 200)
+    """Return a family of games, its largest curvature, the size of its equilibria or box, and a description."""
+    stiffness, ratio = _scale_log(drawn["stiffness"], 0.3, 3), _scale_log(drawn["ratio"], 2, 200)
     kind = ("energy", "affine", "affine", "saturating")[int(drawn["game"] * 4)]
-    size = _between(drawn["size"], 0.3, 30)
+    size = _scale_log(drawn["size"], 0.3, 30)
     scale = float(f"{size * (_maybe(drawn['near'], 0.15, 0.001, 0.03) or 1.0):.3g}")
     low = float(f"{stiffness / math.sqrt(ratio):.3g}")
     near = f", equilibria ±{scale:g}"
@@ -113,7 +113,7 @@ def _game(players: int, drawn: dict[str, float]) -> tuple[FactorySpec, float, fl
         largest = 2 * low * ratio + coupling * (1 + players)
         return part("game:random-energy", players=players, **arguments), largest, size, f"energy, ratio {ratio:g}{near}"
     dims = 1 if drawn["components"] < 0.7 or players > 8 else 2 + (drawn["components"] > 0.9)
-    bend = _between(drawn["bend"], 1, 20) if kind == "saturating" else 0.0
+    bend = _scale_log(drawn["bend"], 1, 20) if kind == "saturating" else 0.0
     ratio = min(ratio, 10.0) if bend else ratio
     box = drawn["box"] < 0.35 and not bend
     bounds = {"low": -float(f"{0.7 * scale:.3g}"), "high": float(f"{0.9 * scale:.3g}")} if box else {}
@@ -127,16 +127,16 @@ def _game(players: int, drawn: dict[str, float]) -> tuple[FactorySpec, float, fl
         action_dim=dims,
         **bounds,
     )
-    several = f" of {dims} components" * (dims > 1)
+    components = f" of {dims} components" * (dims > 1)
     if bend:
         saturating = part("game:random-saturating", affine=affine, bend=bend)
-        return saturating, low * ratio + 3 * bend, size, f"saturating{several}, bend {bend:g}{near}"
-    told = f"affine{several}, ratio {ratio:g}{' in a box' * box}{near}"
+        return saturating, low * ratio + 3 * bend, size, f"saturating{components}, bend {bend:g}{near}"
+    told = f"affine{components}, ratio {ratio:g}{' in a box' * box}{near}"
     return affine, low * ratio + stiffness * drawn["asymmetry"], size, told
 
 
 def _links(players: int, unit: float, generator: np.random.Generator) -> list[tuple[int, int]]:
-    """The links of a connected random graph: those of a random tree, and up to as many more."""
+    """Return the links of a connected random graph: those of a random tree, and up to as many more."""
     order = generator.permutation(players).tolist()
     links = {tuple(sorted((order[i], order[int(generator.integers(i))]))) for i in range(1, players)}
     for _ in range(round(unit * players)):
@@ -152,7 +152,7 @@ def _topology(
     drawn: dict[str, float],
     clock: tuple[float, float, float, int],
 ) -> tuple[FactorySpec, str]:
-    """The topology of a kind, and its description. A switching one has its links in turn, in some modes."""
+    """Return the topology of a kind, and its description; a switching one shares its links out to a few modes."""
     deadline, gain, end, steps = clock
     if kind == "fixed":
         return part("topology:edges", players=players, edges=links), "a fixed graph"
@@ -165,7 +165,7 @@ def _topology(
     # The longest step but the last is at the start on the physical clock, and at the end on the transformed one.
     step = (end + gain * deadline) / steps
     shortest, whole = (step / (gain + 1 / deadline), deadline) if kind == "physical" else (step, end)
-    dwell = _between(drawn["dwell"], 2 * shortest, max(whole / (3 * modes), 3 * shortest))
+    dwell = _scale_log(drawn["dwell"], 2 * shortest, max(whole / (3 * modes), 3 * shortest))
     if kind == "physical":  # the last step goes on to the deadline, and may be the longest; other dwells stay
         dwell = max(dwell, float(f"{1.01 * deadline * math.exp(step - end):.3g}"))
     periodic = part("topology:periodic", graphs=graphs, dwells=[dwell] * modes, clock=kind)
@@ -173,7 +173,7 @@ def _topology(
 
 
 def _channel(size: float, steps: int, drawn: dict[str, float]) -> tuple[list[FactorySpec], list[str]]:
-    """The stages of a channel, with errors relative to the size of the game, and their descriptions."""
+    """Return the stages of a channel, with errors relative to the size of the game, and their descriptions."""
     if drawn["clean"] < 0.2:
         return [], []
     bias, noise, tails, late, rounding = (
@@ -191,7 +191,7 @@ def _channel(size: float, steps: int, drawn: dict[str, float]) -> tuple[list[Fac
     lost = (f"loss {loss:.2g}", "channel:loss", {"probability": loss})
     if drawn["burst"] < 0.3:
         lost = (f"loss {loss:.2g} in bursts", "channel:bursts", {"to_bad": 0.1 * loss / (1 - loss), "to_good": 0.1})
-    found = (
+    candidates = (
         (bias, f"bias {bias:.2g}", "channel:bias", {"bound": bias}),
         (noise, f"noise {noise:.2g}", "channel:noise", {"std": noise}),
         (tails, f"heavy tails {tails:.2g}", "channel:heavy-tails", {"scale": tails}),
@@ -200,10 +200,10 @@ def _channel(size: float, steps: int, drawn: dict[str, float]) -> tuple[list[Fac
         (loss, *lost),
         (longest, f"delay 0 to {longest}", "channel:delay", {"steps": 0, "longest": longest}),
     )
-    chosen = [(told, _stage(target, arguments)) for value, told, target, arguments in found if value]
-    return [stage for _, stage in chosen], [told for told, _ in chosen]
+    drawn_stages = [(told, _stage(target, arguments)) for value, told, target, arguments in candidates if value]
+    return [stage for _, stage in drawn_stages], [told for told, _ in drawn_stages]
 
 
 def _stage(target: str, arguments: dict[str, Any]) -> FactorySpec:
-    """A stage, its numbers with three digits."""
+    """Return a stage whose numbers have three digits."""
     return part(target, **{name: float(f"{v:.3g}") if isinstance(v, float) else v for name, v in arguments.items()})

@@ -1,4 +1,4 @@
-"""Suites: published tracks that policies are run on, with reference policies, scores and ranks."""
+"""Suites: published tracks on which policies are run beside reference policies, with scores and ranks."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from ptne_env.world.catalogue import CATALOGUE, get_scenario
 from ptne_env.world.scenario import Scenario
 
 ZERO, LAW, ORACLE = "zero-input", "static", "oracle"
-"""The reference policies that every run of a suite includes: score 0, the paper's law, and an oracle."""
+"""The reference policies that every run of a suite includes: zero input with score 0, the paper's law, an oracle."""
 
 EPISODES = 200
-"""Episodes of a track, unless the suite has another number."""
+"""Number of episodes of a track, unless the suite has another one."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class Suite:
     """Tracks, and the rules by which they are run.
 
     Attributes:
-        name: such as ``"ptne-v1"``; part of the seeds of all episodes.
-        tracks: in the order of tables.
-        episodes: of every track without a number of its own.
+        name: the name, such as ``"ptne-v1"``, which is part of the seeds of all episodes.
+        tracks: the tracks in the order of tables.
+        episodes: the number of episodes of every track without a number of its own.
 
     Raises:
-        ValueError: when names repeat, there is no track, or a count is below 1.
+        ValueError: when names of tracks repeat, when there is no track, or when the number of episodes is below 1.
     """
 
     name: str
@@ -53,11 +53,11 @@ class Suite:
 
     @property
     def references(self) -> tuple[PolicySpec, ...]:
-        """The reference policies."""
+        """The reference policies, which every run includes."""
         return tuple(POLICIES[name] for name in (ZERO, LAW, ORACLE))
 
     def track(self, name: str) -> Track:
-        """A track by name.
+        """Return a track by name.
 
         Raises:
             ValueError: for an unknown name.
@@ -70,12 +70,12 @@ class Suite:
     def episode_set(
         self, track: str, episodes: int | None = None, *, seed: int = 0, split: Split = "test"
     ) -> EpisodeSet:
-        """The episodes of a track.
+        """Return the episodes of a track.
 
         Args:
-            track: its name.
-            episodes: in place of the suite's number; a track with a number of its own keeps it.
-            seed: of the set; that of published results is 0.
+            track: the name of the track.
+            episodes: the number of episodes in place of the suite's; a track with a number of its own keeps it.
+            seed: the seed of the set; that of published results is 0.
             split: ``"test"``, ``"validation"`` or ``"train"``.
 
         Raises:
@@ -89,48 +89,48 @@ SUITES: Mapping[str, str] = {
     "ptne-v1": "ptne_env.suites.ptne_v1:SUITE",
     "robustness": "ptne_env.suites.robustness:robustness",
 }
-"""The published suites: name, and the ``"module:object"`` that is or makes each."""
+"""The published suites: the ``"module:object"`` that is the suite, or makes it, by name."""
 
 
 def get_suite(suite: str | Suite) -> Suite:
-    """A suite by name, by ``"module:object"`` (a suite, or a function without arguments that makes one), or as it is.
+    """Return a suite by name or by ``"module:object"``, which is a suite or a function without arguments that makes one.
 
     Raises:
-        ValueError: for an unknown name, or an object that is no suite.
+        ValueError: for an unknown name, or an object that is not a suite.
     """
     if isinstance(suite, Suite):
         return suite
     if suite not in SUITES and ":" not in suite:
         raise ValueError(unknown_name("suite", suite, SUITES, "a 'module:object'"))
-    found: Any = resolve(SUITES.get(suite, suite))
-    made = found() if callable(found) else found
-    if not isinstance(made, Suite):
-        raise ValueError(f"{suite!r} is a {type(made).__name__}, not a Suite")
-    return made
+    target: Any = resolve(SUITES.get(suite, suite))
+    resolved = target() if callable(target) else target
+    if not isinstance(resolved, Suite):
+        raise ValueError(f"{suite!r} is a {type(resolved).__name__}, not a Suite")
+    return resolved
 
 
 def world_names() -> list[str]:
-    """The names of all scenarios, and of the tracks of published suites, that :func:`find_scenario` knows."""
+    """Return the names that :func:`find_scenario` knows: of scenarios, and of the tracks of published suites."""
     return [*CATALOGUE, *(f"{suite}/{track.name}" for suite in SUITES for track in get_suite(suite).tracks)]
 
 
 def find_scenario(name: str) -> Scenario:
-    """A scenario of the catalogue by name, of a track, such as ``"ptne-v1/liar"``, or by ``"module:object"``.
+    """Return a scenario by its name, that of a track such as ``"ptne-v1/liar"``, or by ``"module:object"``.
 
     The object is a scenario, or a function without arguments that makes one.
 
     Raises:
-        ValueError: for an unknown name, an object that is no scenario, or a track with teammates.
+        ValueError: for an unknown name, an object that is not a scenario, or a track with teammates.
     """
     suite, separator, track = name.partition("/")
     if separator:
-        found = get_suite(suite).track(track)
-        if found.teammates is not None:
+        named = get_suite(suite).track(track)
+        if named.teammates is not None:
             raise ValueError(
                 f"track {name!r} is more than its scenario: some of its players follow a fixed policy; only "
                 f"ptne compare {name} and run_suite play it"
             )
-        return found.scenario
+        return named.scenario
     if ":" not in name and name not in CATALOGUE:
         raise ValueError(unknown_name("scenario", name, world_names()))
     return get_scenario(name)
@@ -149,46 +149,46 @@ def run_suite(
     """Run policies, and the reference policies of the suite, on the tracks of a suite.
 
     Args:
-        suite: by name, ``"module:object"`` or as it is.
-        policies: as for :func:`ptne_env.evaluate`.
-        tracks: one name or several; all if left out.
-        episodes: per track; the suite's own number if left out.
-        seed: of the episode sets; that of published results is 0.
+        suite: a suite, its name, or a ``"module:object"``.
+        policies: the policies, as for :func:`ptne_env.evaluate`.
+        tracks: one name of a track or several; all tracks if left out.
+        episodes: the number of episodes per track; the suite's own number if left out.
+        seed: the seed of the episode sets; that of published results is 0.
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
-        run: gives the results of jobs: one after the other in this process, or a
+        run: a function that runs the jobs, one after the other in this process if left out, or a
             :class:`ptne_env.execution.Runner`.
 
     Raises:
         ValueError: for unknown or repeated names, or a policy with the name of a reference policy.
         RuntimeError: when a reference policy fails.
-        OSError, ImportError, ConnectionError, ChildProcessError: as :class:`ptne_env.execution.Runner`.
+        OSError, ImportError, ConnectionError, ChildProcessError: as :class:`ptne_env.execution.Runner` raises them.
     """
-    chosen = get_suite(suite)
     target = suite if isinstance(suite, str) else None
-    names = [track.name for track in chosen.tracks] if tracks is None else list(dict.fromkeys(as_list(tracks)))
-    sets = {name: chosen.episode_set(name, episodes, seed=seed, split=split) for name in names}
+    suite = get_suite(suite)
+    names = [track.name for track in suite.tracks] if tracks is None else list(dict.fromkeys(as_list(tracks)))
+    sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
     specs = [get_policy_spec(policy) for policy in as_list(policies)]
-    for reference in chosen.references:
+    for reference in suite.references:
         same = [spec for spec in specs if spec.name == reference.name]
         if any(spec != reference for spec in same):
             raise ValueError(f"{reference.name!r} is the name of a reference policy: give your policy another name")
         specs += [] if same else [reference]
-    results = compare(chosen.name, [chosen.track(name) for name in names], specs, sets, run, target)
+    results = compare(suite.name, [suite.track(name) for name in names], specs, sets, run, target)
     for (track, policy), reason in results.failures.items():
-        if policy in {reference.name for reference in chosen.references}:
+        if policy in {reference.name for reference in suite.references}:
             raise RuntimeError(f"the reference policy {policy!r} fails on track {track!r}: {reason}")
     return results
 
 
 @dataclass(frozen=True)
 class Row:
-    """One policy over the scored tracks; where it cannot act or failed, it counts as zero input.
+    """A row of a leaderboard: one policy over the scored tracks. Where it cannot act or fails, it counts as zero input.
 
     Attributes:
-        policy: name.
-        score: mean digits.
-        mean_regret: over the tracks whose games have best responses.
-        mean_rank: of the ranks by digits, 1 being best, and by mean regret where digits are equal to two decimals;
+        policy: the name of the policy.
+        score: the mean of its digits.
+        mean_regret: its mean regret over the tracks whose games have best responses.
+        mean_rank: its mean rank by digits, 1 being best, and by mean regret where digits are equal to two decimals;
             ``None`` for oracles.
     """
 
@@ -199,9 +199,10 @@ class Row:
 
 
 def leaderboard(results: Results) -> tuple[Row, ...] | None:
-    """The rows of a suite, the best first and oracles last; ``None`` for a comparison, and without a scored track.
+    """Return the rows of a suite, the best first and oracles last.
 
-    A policy that acts on no scored track has no row.
+    A policy that acts on no scored track has no row. The leaderboard of a comparison, or without scored tracks, is
+    ``None``.
     """
     tracks = [track.name for track in results.tracks if track.scored]
     if results.is_comparison or not tracks:
@@ -210,7 +211,7 @@ def leaderboard(results: Results) -> tuple[Row, ...] | None:
     ranked = [name for name in acting if not results.policies[name].is_oracle]
     ranks: dict[str, list[int]] = {name: [] for name in ranked}
     for track in tracks:
-        standings = {name: results.standing(track, _counted(results, track, name)) for name in ranked}
+        standings = {name: results.standing(track, _counted_policy(results, track, name)) for name in ranked}
         for name, mine in standings.items():
             ranks[name].append(1 + sum(other < mine for other in standings.values()))
     rows = [
@@ -225,13 +226,14 @@ def leaderboard(results: Results) -> tuple[Row, ...] | None:
     return tuple(sorted(rows, key=lambda row: (row.mean_rank is None, *standing(row.score, row.mean_regret))))
 
 
-def _counted(results: Results, track: str, policy: str) -> str:
-    """The policy whose numbers count for ``policy`` on a track."""
+def _counted_policy(results: Results, track: str, policy: str) -> str:
+    """Return the policy whose numbers count for ``policy`` on a track: itself, or zero input where it has none."""
     return policy if (track, policy) in results.samples else ZERO
 
 
 def _over_tracks(results: Results, tracks: list[str], policy: str, metric: str) -> Summary:
-    """The mean of a metric over the tracks on which it has values."""
+    """Return the mean of a metric over the tracks on which it has values."""
     seeds = len(results.policies[policy].training_seeds)
-    found = [results.samples[track, _counted(results, track, policy)][metric] for track in tracks]
-    return estimate([np.broadcast_to(each, (seeds, each.shape[1])) for each in found if np.isfinite(each).any()])
+    samples = [results.samples[track, _counted_policy(results, track, policy)][metric] for track in tracks]
+    valued = [values for values in samples if np.isfinite(values).any()]
+    return estimate([np.broadcast_to(values, (seeds, values.shape[1])) for values in valued])

@@ -69,7 +69,7 @@ def test_every_command_has_help(command, run):
     ("words", "message"),
     [
         ("compare energie", "unknown scenario 'energie'; did you mean 'energy'?"),
-        ("compare energy static", "'static' is a policy, no scenario: write --policy static"),
+        ("compare energy static", "'static' is a policy, not a scenario: write --policy static"),
         ("compare energy ptne-v1/liar", "of scenarios, or of the tracks of one suite"),
         ("compare ptne-v1/liar --suite ptne-v2", "of scenarios, or of the tracks of one suite"),
         ("compare nominal", "unknown scenario 'nominal'; did you mean 'ptne-v1/nominal'?"),
