@@ -93,7 +93,7 @@ SUITES: Mapping[str, str] = {
 
 
 def get_suite(suite: str | Suite) -> Suite:
-    """Return a suite by name or by ``"module:object"``, which is a suite or a function without arguments that makes one.
+    """Return a suite by name or by ``"module:object"``, a suite or a function without arguments that makes one.
 
     Raises:
         ValueError: for an unknown name, or an object that is not a suite.
