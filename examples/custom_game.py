@@ -1,4 +1,4 @@
-"""A game of your own: its costs and gradients, predictions for a law on it, and an evaluation of the law.
+"""Define a game by its costs and gradients, predict how a law does on it, and evaluate the law.
 
 Prints whether the gradients are the derivatives of the costs and Assumption 3 holds on samples, the Nash equilibrium,
 the monotonicity and Lipschitz constants ε and ι, whether the static law's gain condition holds at two gains κ with the
@@ -21,12 +21,12 @@ Array = np.ndarray
 
 
 class Fashion(Game):
-    """J_i(x) = (x_i − b_i)² + sqrt(1 + (x_i − m_i)²) with m_i the mean of the others: taste and fashion.
+    """J_i(x) = (x_i − b_i)² + sqrt(1 + (x_i − m_i)²), taste and fashion, where m_i is the mean of the others.
 
     Arrays have environments last: strategies are (n, B), and so are gradients.
 
     Attributes:
-        taste: b_i of each player.
+        taste: the taste b_i of each player.
     """
 
     taste: tuple[float, ...] = (2.0, 4.0, 6.0, 8.0, 10.0)
@@ -38,21 +38,21 @@ class Fashion(Game):
 
     @cached_property
     def tastes(self) -> Array:
-        """b_i, shape (n, 1)."""
+        """The tastes b_i, shape (n, 1)."""
         return np.array(self.taste)[:, None]
 
     def costs(self, strategies: Array) -> Array:
-        """Shape (n, B) to (N, B)."""
+        """Return J_i, shape (N, B), at strategies of shape (n, B)."""
         return (strategies - self.tastes) ** 2 + np.sqrt(1 + (strategies - self._means(strategies)) ** 2)
 
     def own_gradients(self, estimates: Array) -> Array:
-        """Shape (n, N, B) to (n, B): column i is the estimate of player i, on which alone its gradient may depend."""
+        """Return ∂J_i/∂x_i, shape (n, B), at estimates (n, N, B); that of player i depends on column i alone."""
         own = np.einsum("iib->ib", estimates)
         means = (estimates.sum(axis=0) - own) / (self.num_players - 1)
         return 2 * (own - self.tastes) + _pull(own - means)
 
     def best_response(self, strategies: Array) -> Array:
-        """Shape (n, B) to (n, B): the zero of the own gradient, which is within ½ of the taste."""
+        """Return the zeros of the own gradients, which are within ½ of the tastes, shape (n, B)."""
         tastes, means = np.broadcast_arrays(self.tastes, self._means(strategies))
         bracket = tastes - 0.6, tastes + 0.6
         return elementwise.find_root(lambda x, b, m: 2 * (x - b) + _pull(x - m), bracket, args=(tastes, means)).x
@@ -62,7 +62,7 @@ class Fashion(Game):
 
 
 def _pull(distance: Array) -> Array:
-    """The derivative of sqrt(1 + d²)."""
+    """Return the derivative of sqrt(1 + d²)."""
     return distance / np.sqrt(1 + distance**2)
 
 

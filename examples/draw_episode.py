@@ -1,10 +1,10 @@
 """Draw an episode: the estimates of all players, and their error over time.
 
-The scenario ``energy-switching-transformed`` under the paper's static law, from the paper's start, with a hold phase
-after the deadline. Thick lines are the strategies, thin ones the estimates of them by the other players, dotted ones
+The paper's static law plays the scenario ``energy-switching-transformed`` from the paper's start, with a hold phase
+after the deadline. Thick lines are the strategies, thin lines the other players' estimates of them, and dotted lines
 the Nash equilibrium.
 
-Writes run.png to the current folder, the picture of the README.
+Writes run.png, the picture of the README, to the current folder.
 
 Run it with: python examples/draw_episode.py
 """
@@ -17,7 +17,7 @@ from ptne_env import laws
 
 
 def play(env: ptne_env.NashSeekingEnv) -> tuple[np.ndarray, np.ndarray]:
-    """The instants t_k, shape (K + 1,), and the estimates, shape (K + 1, N, n)."""
+    """Return the instants t_k, shape (K + 1,), and the estimates, shape (K + 1, N, n)."""
     observations, _ = env.reset(seed=0)
     law, memory = laws.Static(env.layout), None
     times, estimates = [env.time], [env.estimates]
@@ -30,7 +30,7 @@ def play(env: ptne_env.NashSeekingEnv) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> None:
-    """Play and draw."""
+    """Play the episode and draw it."""
     env = ptne_env.parallel_env(
         "energy-switching-transformed", interface=laws.Static.interface, start="paper", hold_steps=50
     )

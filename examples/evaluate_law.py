@@ -1,4 +1,4 @@
-"""Evaluate a law, and a policy of your own, from a script.
+"""Evaluate a law and a policy of your own from a script.
 
 Run it with: python examples/evaluate_law.py
 """
@@ -25,7 +25,7 @@ class HalfSpeed:
         episode_start: np.ndarray | None = None,
         deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[np.ndarray, object]:
-        """Half of the law's actions."""
+        """Return half of the law's actions."""
         actions, state = self.law.predict(observation, state, episode_start, deterministic)
         return actions / 2, state
 

@@ -1,7 +1,7 @@
-"""The digits of a law when messages are lost, late or noisy, when strategies are pushed, and when inputs saturate.
+"""Measure a law when messages are lost, late or noisy, when strategies are pushed, and when inputs saturate.
 
-Prints the digits of the paper's static law at the deadline as each fault grows alone, then with several at once; 30
-episodes each, the same games and starts for all.
+Prints the digits of the paper's static law at the deadline as each fault grows alone, and then under several at once,
+over 30 episodes with the same games and starts.
 
 Run it with: python examples/fault_injection.py
 """
@@ -13,17 +13,17 @@ from ptne_env import FactorySpec, get_scenario
 
 
 def channel(name: str, **arguments: Any) -> dict[str, FactorySpec]:
-    """The change of a scenario that puts a channel between the players."""
+    """Return the change of a scenario that puts a channel between the players."""
     return {"channel": FactorySpec.of(f"channel:{name}", **arguments)}
 
 
 def chain(*stages: dict[str, FactorySpec]) -> dict[str, FactorySpec]:
-    """Several channels in sequence, in the order of the arguments."""
+    """Return the change that puts several channels in sequence, in the order of the arguments."""
     return channel("chain", stages=[stage["channel"] for stage in stages])
 
 
 def push(bound: float) -> dict[str, FactorySpec]:
-    """A random velocity that disturbs the strategies; a new draw every 25 steps."""
+    """Return the change that disturbs strategies by a random velocity, drawn anew every 25 steps."""
     return {"disturbance": FactorySpec.of("disturbance:uniform", bound=bound, dwell=25)}
 
 

@@ -1,7 +1,7 @@
-"""Observations as a graph of messages, built from ``env.layout``: what a graph network would read.
+"""Turn observations into a graph of messages, as a graph network reads them, with the help of ``env.layout``.
 
-A node is a player with its own entries; an edge is a message x^j − x^i with its weight a_ij. The paper's static law is
-one round of message passing on this graph.
+A node is a player with its own entries, and an edge is a message x^j − x^i with its weight a_ij. The paper's static law
+is one round of message passing on this graph.
 
 Run it with: python examples/graph_observations.py
 """
@@ -13,8 +13,8 @@ import ptne_env
 KAPPA = 2.0
 
 
-def graph(layout: ptne_env.ObservationLayout, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The graph of all players' observations (N, size): nodes, edges, and the links (sender, receiver) that are up."""
+def build_graph(layout: ptne_env.ObservationLayout, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the nodes, the edges, and the live links (sender, receiver) of all players' observations, (N, size)."""
     nodes = np.concatenate([layout.select(rows, name) for name in ("own_gradient", "clock", "player")], axis=1)
     weights = layout.select(rows, "weights")
     messages = layout.select(rows, "relative_estimates").reshape(*weights.shape, layout.dimension)
@@ -24,8 +24,8 @@ def graph(layout: ptne_env.ObservationLayout, rows: np.ndarray) -> tuple[np.ndar
 
 
 def static_law(layout: ptne_env.ObservationLayout, rows: np.ndarray) -> np.ndarray:
-    """u^i = κ Σ_j a_ij (x^j − x^i) − gradient, by message passing; every player has one strategy here."""
-    nodes, edges, links = graph(layout, rows)
+    """Return u^i = κ Σ_j a_ij (x^j − x^i) − gradient by message passing, where every player has one component."""
+    nodes, edges, links = build_graph(layout, rows)
     inputs = np.zeros((layout.num_players, layout.dimension), dtype=np.float32)
     np.add.at(inputs, links[:, 1], KAPPA * edges[:, -1:] * edges[:, :-1])
     return inputs - np.diag(nodes[:, 0])
@@ -38,7 +38,7 @@ def main() -> None:
     up = set()
     while env.agents:
         rows = np.stack(list(observations.values()))
-        up.add(len(graph(env.layout, rows)[1]))
+        up.add(len(build_graph(env.layout, rows)[1]))
         observations, *_ = env.step(dict(zip(env.agents, static_law(env.layout, rows), strict=True)))
     error = np.linalg.norm(env.strategies - env.nash_equilibrium) / np.linalg.norm(env.nash_equilibrium)
     print(f"messages per step: {sorted(up)}, relative error at the deadline: {error:.1e}")

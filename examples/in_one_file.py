@@ -1,14 +1,14 @@
-"""The whole idea in one file: a game, a switching graph, a clock, a law, and the loop. It needs numpy and scipy only.
+"""The whole idea in one file, with numpy and scipy alone: a game, a switching graph, a clock, a law, and the loop.
 
-Five buildings buy electricity. Each pays more when the others consume more, so the best amount for one depends on
-all others. No building can lower its own cost alone at exactly one point: the Nash equilibrium (NE). The buildings
-must reach it by a deadline T, each knows its own cost only, and each receives messages from its live neighbours only.
+Five buildings buy electricity. Each pays more when the others consume more, so the best amount for one depends on all
+others. At exactly one point, the Nash equilibrium (NE), no building can lower its own cost alone. The buildings must
+reach it by a deadline T, although each knows only its own cost and receives messages only from its live neighbours.
 
 This is the scenario ``energy-switching-transformed`` under the law ``static``. The library computes the same numbers,
 bit for bit, and a test compares them. Equation numbers are those of the paper, Feng and Hu, "Prescribed-Time Fully
 Distributed Nash Equilibrium Seeking in Noncooperative Games".
 
-Prints the NE, the strategies at the deadline, and how many digits of all estimates are correct at ten instants.
+Prints how many digits of all estimates are correct at ten instants, the NE, and the strategies at the deadline.
 
 Run it with: python examples/in_one_file.py
 """
@@ -34,7 +34,7 @@ NASH_EQUILIBRIUM = np.linalg.solve((2 + COUPLING) * np.eye(N) + COUPLING, 2 * TA
 
 
 def own_gradient(estimate: np.ndarray, player: int) -> float:
-    """∂J_i/∂x_i at the player's own estimate x^i of all strategies, shape (N,)."""
+    """Return ∂J_i/∂x_i at the player's own estimate x^i of all strategies, shape (N,)."""
     gradient = estimate.sum() * COUPLING
     gradient += (2 + COUPLING) * estimate[player]
     gradient += BASE_PRICE - 2 * TARGET[player]
@@ -46,7 +46,7 @@ def own_gradient(estimate: np.ndarray, player: int) -> float:
 
 
 def start() -> np.ndarray:
-    """The paper's start: strategies −2, −4, …, −10; each player believes that the others play 15, 10, 5, 0."""
+    """Return the paper's start: strategies −2, −4, …, −10; each player believes that the others play 15, 10, 5, 0."""
     return np.array([np.insert([15.0, 10.0, 5.0, 0.0], i, -2.0 * (i + 1)) for i in range(N)])
 
 
@@ -58,7 +58,7 @@ DWELL = 0.25
 
 
 def live_neighbours(player: int, s: float) -> list[int]:
-    """The players from whom ``player`` receives an estimate at the transformed time s."""
+    """Return the players from whom a player receives an estimate at the transformed time s."""
     links = MODES[int(s // DWELL) % len(MODES)]
     return [i + j - player for i, j in links if player in (i, j)]
 
@@ -85,7 +85,7 @@ T, C, K, S_END = 1.2, 20.0, 400, 8.0
 
 
 def clock() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The instants t_k and s_k, each of shape (K + 1,), and the steps Θ_k, of shape (K,)."""
+    """Return the instants t_k and s_k, each of shape (K + 1,), and the steps Θ_k, of shape (K,)."""
     tau = np.linspace(0.0, 1.0, K + 1) * (S_END + C * T * -np.expm1(-S_END))
     s = tau - C * T + wrightomega(np.log(C * T) + C * T - tau)  # solves s + c λ(s) = τ for s
     s[0], s[-1] = 0.0, S_END
@@ -104,7 +104,7 @@ KAPPA, INPUT_LIMIT = 2.0, 1000.0
 
 
 def static_law(player: int, gradient: np.float32, differences: np.ndarray) -> np.ndarray:
-    """The input u^i, shape (N,), from the own gradient and the differences, shape (live neighbours, N); all float32."""
+    """Return the input u^i, shape (N,), for an own gradient and differences (live neighbours, N); all float32."""
     u = KAPPA * differences.astype(np.float64).sum(axis=0)
     u[player] -= np.float64(gradient)
     return np.clip(u, -INPUT_LIMIT, INPUT_LIMIT).astype(np.float32)
@@ -116,7 +116,7 @@ def static_law(player: int, gradient: np.float32, differences: np.ndarray) -> np
 
 
 def play() -> np.ndarray:
-    """The estimates at all instants, shape (K + 1, N, N): entry [k, i] is x^i at instant k."""
+    """Return the estimates at all instants, shape (K + 1, N, N), in which entry [k, i] is x^i at instant k."""
     _, instants, steps = clock()
     estimates = start()
     trajectory = [estimates]
@@ -132,7 +132,7 @@ def play() -> np.ndarray:
 
 
 def digits(estimates: np.ndarray) -> float:
-    """−log10 of the relative distance of all estimates to the NE: 3 means an error of 0.1 %."""
+    """Return −log10 of the relative distance of all estimates from the NE; 3 means an error of 0.1 %."""
     error = np.linalg.norm(estimates - NASH_EQUILIBRIUM) / (np.sqrt(N) * np.linalg.norm(NASH_EQUILIBRIUM))
     return float(-np.log10(error))
 

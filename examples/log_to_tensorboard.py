@@ -1,6 +1,7 @@
-"""Watch a training in TensorBoard; Stable-Baselines3 writes what its callbacks and environments report.
+"""Watch a training in TensorBoard, for which Stable-Baselines3 writes what its callbacks and environments report.
 
-``rollout/ep_rew_mean`` are the digits that a player gains in an episode. Needs ``pip install tensorboard``.
+``rollout/ep_rew_mean`` is the mean number of digits that players gain in an episode.
+Needs ``pip install tensorboard``.
 
 Run it with: python examples/log_to_tensorboard.py, and then: tensorboard --logdir runs
 """

@@ -1,7 +1,9 @@
 """Watch a training in Weights & Biases, through its callback for Stable-Baselines3.
 
-``rollout/ep_rew_mean`` are the digits that a player gains in an episode. Needs ``pip install tensorboard wandb``. The
-run is stored on this machine; ``wandb sync`` uploads it, or leave out ``mode="offline"``.
+``rollout/ep_rew_mean`` is the mean number of digits that players gain in an episode. The run is stored on this machine
+until ``wandb sync`` uploads it; without ``mode="offline"`` it is uploaded at once.
+
+Needs ``pip install tensorboard wandb``.
 
 Run it with: python examples/log_to_wandb.py
 """

@@ -1,7 +1,7 @@
-"""Mixed teams: some players follow one law, the others another.
+"""Evaluate mixed teams, in which some players follow one law and the others another.
 
-Prints the digits at the deadline in random energy games for every number of players, from none to all, that follow the
-tuned static law while the others keep the paper's gains; 50 episodes each.
+From none to all of five players follow the tuned static law in random energy games, while the others keep the paper's
+gains. Prints the digits at the deadline of each team, over 50 episodes.
 
 Run it with: python examples/mixed_team.py
 """
@@ -15,7 +15,7 @@ POLICY = "static-tuned"
 
 
 def teams() -> Suite:
-    """A track per team: the last players of the five are teammates that follow the paper's law."""
+    """Return a suite with a track per team, in which the last players are teammates that follow the paper's law."""
     base = get_scenario("random-energy")
     tracks = tuple(
         Track(
@@ -30,12 +30,12 @@ def teams() -> Suite:
 
 
 def main() -> None:
-    """Run the policy in every team; the reference policy "static" is the paper's law in all of them."""
+    """Run the policy in every team. The reference policy "static" follows the paper's law, as its teammates do."""
     results = run_suite(teams(), [POLICY])
     digits = {"0 of 5": results.summary("5 of 5", "static", "digits")}
     digits |= {track.name: results.summary(track.name, POLICY, "digits") for track in results.tracks}
-    for name, found in digits.items():
-        print(f"{name} follow {POLICY}: {found.mean:.2f} digits [{found.low:.2f}, {found.high:.2f}]")
+    for name, summary in digits.items():
+        print(f"{name} follow {POLICY}: {summary.mean:.2f} digits [{summary.low:.2f}, {summary.high:.2f}]")
 
 
 if __name__ == "__main__":

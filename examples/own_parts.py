@@ -1,4 +1,4 @@
-"""A game, a graph, a channel, a law and a track of your own, in a module of your own.
+"""Define a game, a graph, a channel, a law and a track in a module of your own.
 
 Nothing is registered: scenarios take objects or functions, and the command line names them as "own_parts:Name".
 
@@ -24,7 +24,7 @@ from ptne_env.world.channels import Channel, LinkRandomness, Memory, Messages
 
 
 class BeautyContest(AffineGame):
-    """J_i(x) = ½ (x_i − r m_i − b_i)² with m_i the mean of the others: each player wants to be close to the others."""
+    """J_i(x) = ½ (x_i − r m_i − b_i)², where m_i is the mean of the others: players want to be close to each other."""
 
     tastes: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0)  # b_i
     conformity: float = 0.5  # r
@@ -42,12 +42,12 @@ class BeautyContest(AffineGame):
 
 
 def wheel(players: int = 5) -> switching.SwitchingTopology:
-    """Player 0 in the hub, the others on the rim."""
+    """Return a graph with player 0 in the hub and the others on the rim."""
     return switching.fixed(graphs.from_networkx(nx.wheel_graph(players)))
 
 
 class Clipped(Channel):
-    """Messages in which every number is clipped to ±bound."""
+    """A channel that clips every number in messages to ±bound."""
 
     is_random = False
 
@@ -59,7 +59,7 @@ class Clipped(Channel):
         memory: Memory | None,  # noqa: ARG002 - this channel keeps none
         randomness: LinkRandomness,  # noqa: ARG002 - this channel draws nothing
     ) -> tuple[Messages, Memory]:
-        """The clipped messages."""
+        """Return the clipped messages."""
         return replace(messages, values=np.clip(messages.values, -self.bound, self.bound)), ()
 
 
@@ -67,23 +67,23 @@ class HeavyBall(laws.Law):
     """The static law with inertia: v ← β v + (1 − β) u, and v is the input."""
 
     def __init__(self, layout: ObservationLayout, kappa: float = 2.0, inertia: float = 0.5) -> None:
-        """Consensus gain κ, and β."""
+        """Store the consensus gain κ and the inertia β."""
         super().__init__(layout)
         self.kappa, self.inertia = kappa, inertia
 
     def initial_memory(self, rows: int) -> np.ndarray:
-        """v = 0."""
+        """Return v = 0."""
         return np.zeros((rows, self.layout.dimension))
 
     def inputs(self, observation: Observation, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The input v, which is also the memory."""
+        """Return the input v, which is also the memory."""
         pull = np.einsum("rd,rdn->rn", observation.weights, observation.relative_estimates)
         memory = self.inertia * memory + (1 - self.inertia) * (self.kappa * pull - observation.gradient)
         return memory, memory
 
 
 def suite() -> Suite:
-    """Two tracks: the game on the wheel, and the same with clipped messages."""
+    """Return a suite of two tracks: the game on the wheel, and the same with clipped messages."""
     base = get_scenario("energy", name="contest", game=BeautyContest(), topology=wheel, start="random")
     clipped = base.replace(name="clipped", channel=Clipped(bound=10.0))
     return Suite(

@@ -1,7 +1,7 @@
-"""A phase diagram: digits of the static law over the consensus gain κ and the number of steps to the deadline.
+"""Draw a phase diagram: the digits of the static law over the consensus gain κ and the number of steps.
 
-Every point is one `evaluate`. Few steps mean long ones, and with a large κ the sampled loop becomes unstable: the red
-line is the largest stable step that the theory predicts.
+Few steps to the deadline are long ones, with which the sampled loop becomes unstable where κ is large. The red line is
+the fewest steps for which the theory predicts stability.
 
 Prints the grid of mean digits and writes the picture phase-diagram.png.
 
@@ -22,23 +22,23 @@ STEPS = (100, 150, 200, 300, 400)
 EPISODES = 10
 
 
-def policy(kappa: float) -> PolicySpec:
-    """The static law with this gain."""
+def static_law(kappa: float) -> PolicySpec:
+    """Return the static law with this gain."""
     return PolicySpec(f"{kappa:g}", FactorySpec.of("law:static", kappa=kappa))
 
 
-def measured() -> np.ndarray:
-    """Mean digits at the deadline, shape (len(STEPS), len(KAPPAS))."""
+def measure() -> np.ndarray:
+    """Return the mean digits at the deadline, shape (len(STEPS), len(KAPPAS))."""
     rows = []
     for steps in STEPS:
         scenario = get_scenario("energy", steps=steps, input_limit=1e6)
-        results = evaluate(map(policy, KAPPAS), [scenario], episodes=EPISODES)
+        results = evaluate(map(static_law, KAPPAS), [scenario], episodes=EPISODES)
         rows.append([results.record("energy", f"{kappa:g}", "digits")["mean"] for kappa in KAPPAS])
     return np.array(rows)
 
 
 def fewest_stable_steps() -> list[float]:
-    """For each κ, the number of steps of the deadline's effective time below which the loop is unstable."""
+    """Return, for each κ, the number of steps to the deadline below which the loop is unstable."""
     world = World(get_scenario("energy"))
     matrices = [theory.closed_loop_matrix(world.game, world.topology.graphs[0], kappa) for kappa in KAPPAS]
     steps = [theory.largest_stable_step(matrix) for matrix in matrices]
@@ -46,7 +46,7 @@ def fewest_stable_steps() -> list[float]:
 
 
 def draw(digits: np.ndarray, file: Path) -> None:
-    """Save the digits as colours, with the predicted boundary."""
+    """Save a picture of the digits as colours, with the predicted boundary."""
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     mesh = axes.pcolormesh(KAPPAS, STEPS, np.maximum(digits, 0), shading="nearest", cmap="viridis")
     axes.plot(KAPPAS, fewest_stable_steps(), color="red", label="fewest stable steps, predicted")
@@ -58,7 +58,7 @@ def draw(digits: np.ndarray, file: Path) -> None:
 
 
 if __name__ == "__main__":
-    digits = measured()
+    digits = measure()
     print("  κ    ", *(f"{kappa:6g}" for kappa in KAPPAS))
     for steps, row in zip(STEPS, digits, strict=True):
         print(f"K = {steps}", *(f"{value:6.2f}" for value in row))

@@ -1,11 +1,11 @@
-"""A planner: save the state, simulate candidate inputs some steps ahead, and act with the best candidate.
+"""Plan: save the state, simulate candidate inputs some steps ahead, and act with the best candidate.
 
 The state of an environment is a record of arrays, and ``dynamics.step(world, state, inputs)`` is a pure function. So a
 planner or a tree search can start from any state, as often as it needs, and leaves the environment unchanged.
 
 Every 10 steps, random shooting draws 64 pairs of gains (one for the gradient, one for the consensus), simulates all of
 them at once with the paper's law, and keeps the pair with the smallest residual: own gradients and disagreement, which
-both vanish at the Nash equilibrium only. The planner reads the whole state, so it is an oracle, not a player.
+vanish together only at the Nash equilibrium. The planner reads the whole state, so it is an oracle, not a player.
 
 Prints the digits at the deadline of the paper's static law and of the planner.
 
@@ -22,8 +22,8 @@ from ptne_env.world.world import World
 CANDIDATES, HORIZON = 64, 10
 
 
-def repeated(state: State, times: int) -> State:
-    """``times`` copies of the state of one environment, as a batch. Environments are the last axis of every array."""
+def repeat(state: State, times: int) -> State:
+    """Return copies of the state of one environment as a batch. Environments are the last axis of every array."""
     return state._replace(
         step=np.repeat(state.step, times),
         estimates=np.repeat(state.estimates, times, axis=2),
@@ -33,7 +33,7 @@ def repeated(state: State, times: int) -> State:
 
 
 def inputs(world: World, state: State, gains: np.ndarray) -> np.ndarray:
-    """The paper's law with a gradient gain and a consensus gain per environment: gains (2, B) to inputs (n, N, B)."""
+    """Return the inputs of the paper's law, (n, N, B), for a gradient and a consensus gain per environment, (2, B)."""
     differences = dynamics.relative_estimates(world, state)
     u = gains[1] * np.einsum("dib,dcib->cib", dynamics.weights(world, state), differences)
     u[np.arange(world.game.dimension), world.game.owners] -= gains[0] * state.own_gradients
@@ -41,7 +41,7 @@ def inputs(world: World, state: State, gains: np.ndarray) -> np.ndarray:
 
 
 def simulate(world: World, state: State, gains: np.ndarray) -> State:
-    """The state after the horizon, or at the end of the episode."""
+    """Return the state after the horizon, or at the end of the episode."""
     for _ in range(HORIZON):
         if not dynamics.is_over(world, state).all():
             state = dynamics.step(world, state, inputs(world, state, gains))
@@ -49,14 +49,14 @@ def simulate(world: World, state: State, gains: np.ndarray) -> State:
 
 
 def residual(state: State) -> np.ndarray:
-    """Sum of squares of the own gradients and of the disagreement, shape (B,); infinite after divergence."""
+    """Return the sum of squares of own gradients and disagreement, shape (B,); infinite after divergence."""
     disagreement = state.estimates - state.estimates.mean(axis=1, keepdims=True)
     value = (state.own_gradients**2).sum(axis=0) + (disagreement**2).sum(axis=(0, 1))
     return np.where(state.diverged, np.inf, value)
 
 
 def play(env: ptne_env.NashSeekingEnv, *, planning: bool) -> float:
-    """The digits at the deadline, with planned gains or with those of the paper."""
+    """Return the digits at the deadline, with planned gains or with those of the paper."""
     generator = np.random.default_rng(0)
     env.reset(seed=7)
     world, state = env.world, env.get_state()
@@ -64,7 +64,7 @@ def play(env: ptne_env.NashSeekingEnv, *, planning: bool) -> float:
         gains = np.array([[1.0], [2.0]])
         if planning:
             candidates = gains * 2 ** generator.uniform(-3, 3, size=(2, CANDIDATES))
-            after = simulate(world, repeated(state, CANDIDATES), candidates)
+            after = simulate(world, repeat(state, CANDIDATES), candidates)
             gains = candidates[:, [residual(after).argmin()]]
         state = simulate(world, state, gains)
     env.set_state(state)  # the environment continues from any state

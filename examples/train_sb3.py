@@ -1,4 +1,4 @@
-"""Train PPO of Stable-Baselines3 for some seconds, and compare it with the law.
+"""Train PPO of Stable-Baselines3 for some seconds, and compare it with the paper's law.
 
 Every player of every environment becomes one environment of a vector environment, and all of them share one network. It
 acts through the interface ``scaled``, in which gradients, differences and actions have no unit.
@@ -24,7 +24,7 @@ TEST_SEED = 1_000_000
 
 
 def digits_gained(policy: ptne_env.Policy) -> float:
-    """The mean return over all players; a law is evaluated like any model."""
+    """Return the mean return over all players; a law is evaluated like any model."""
     env = PlayerVecEnv(SCENARIO, num_envs=20, seed=TEST_SEED)
     mean, _ = evaluate_policy(policy, env, n_eval_episodes=env.num_envs, warn=False)
     return float(mean)

@@ -1,4 +1,4 @@
-"""BenchMARL: a scenario as a task whose environments are stepped together, and trained actors for ``evaluate``.
+"""The BenchMARL task, whose environments are stepped together, and its trained actors as policies.
 
 Needs ``pip install benchmarl``, in a virtual environment of its own, because BenchMARL pins an older TorchRL.
 """
@@ -23,7 +23,7 @@ from ptne_env.world.world import World
 class NashSeekingTask(TaskClass):
     """A task, such as ``NashSeekingTask("mine", {"scenario": "random-energy"})``.
 
-    The name is for files, and the dictionary holds arguments of :class:`~ptne_env.envs.torchrl.TorchRLEnv`. All
+    The name is used for files, and the dictionary holds arguments of :class:`~ptne_env.envs.torchrl.TorchRLEnv`. All
     players are one group, and a centralised critic receives the observations of all of them.
     """
 
@@ -54,7 +54,7 @@ class NashSeekingTask(TaskClass):
         return env.full_action_spec_unbatched
 
     def _none(self, env: Any) -> None:
-        """No logged infos, no state beside the observations, and no mask of actions."""
+        """Return ``None``: there are no logged infos, no state beside the observations, and no mask of actions."""
 
     info_spec = state_spec = action_mask_spec = _none
 
@@ -64,9 +64,9 @@ class NashSeekingTask(TaskClass):
 
 
 class Actor(RowPolicy):
-    """The actor without exploration, at every call as trained by then, as a policy for :func:`ptne_env.evaluate`.
+    """The actor of an experiment as a policy for :func:`ptne_env.evaluate`, without exploration and as trained so far.
 
-    The players must share one network that decides each of them alone (an MLP), as BenchMARL's defaults have it.
+    The players must share one network that decides for each of them alone, such as the MLP of BenchMARL's defaults.
     """
 
     block = BLOCK

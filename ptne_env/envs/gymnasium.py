@@ -1,7 +1,7 @@
-"""Gymnasium: all players as one agent, for centralised control and for every single-agent library.
+"""The Gymnasium environments: all players as one agent, for centralised control and single-agent libraries.
 
-A joint observation is the players' observations one after the other, a joint action is their actions one after the
-other, and the reward is the mean over players. Registered as ``ptne/<scenario>-joint-v0``::
+A joint observation holds the observations of the players one after the other, a joint action holds their actions, and
+the reward is the mean over players. Registered as ``ptne/<scenario>-joint-v0``::
 
     env = gymnasium.make("ptne_env:ptne/energy-joint-v0")
     envs = gymnasium.make_vec("ptne_env:ptne/energy-joint-v0", num_envs=64)
@@ -27,16 +27,16 @@ from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain
 from ptne_env.world.scenario import Scenario
 
 _FLAGS = ("diverged", "is_success")
-"""Infos that all players of an environment share."""
+"""The infos that all players of an environment share."""
 
 
 def _mean(values: FloatArray) -> FloatArray:
-    """Over players, the last axis, in an order that does not depend on the size of the batch."""
+    """Return the mean over players, the last axis, in an order that does not depend on the size of the batch."""
     return ordered_sum(values, axis=-1) / values.shape[-1]
 
 
-def _over_players(infos: dict[str, Any]) -> dict[str, Any]:
-    """Infos of players, the last axis, as those of one agent: clipped entries are summed, and rewards are averaged."""
+def _join_players(infos: dict[str, Any]) -> dict[str, Any]:
+    """Return infos of players, the last axis, as those of one agent: clipped entries are summed, rewards averaged."""
     joint = {}
     for name, values in infos.items():
         if name in _FLAGS:
@@ -47,9 +47,9 @@ def _over_players(infos: dict[str, Any]) -> dict[str, Any]:
 
 
 def _joint_info(infos: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """The info of the agent that acts for all players."""
+    """Return the info of the agent that acts for all players."""
     first, *others = infos.values()
-    return _over_players(
+    return _join_players(
         {
             name: np.array(value if name in _FLAGS else [value, *(info[name] for info in others)])
             for name, value in first.items()
@@ -57,30 +57,30 @@ def _joint_info(infos: dict[str, dict[str, Any]]) -> dict[str, Any]:
     )
 
 
-def _masked(infos: dict[str, Any], present: BoolArray) -> dict[str, Any]:
-    """Gymnasium's infos of a vector: each array with a mask ``_name`` of the environments that it is of."""
+def _add_masks(infos: dict[str, Any], present: BoolArray) -> dict[str, Any]:
+    """Return infos as Gymnasium's vectors have them, each with a mask ``_name`` of the environments that have it."""
     masked: dict[str, Any] = {}
     for name, values in infos.items():
         masked |= {name: np.where(present, values, np.zeros_like(values)), f"_{name}": present.copy()}
     return masked
 
 
-def _tiled(space: spaces.Box, players: int) -> Any:
+def _join_boxes(space: spaces.Box, players: int) -> Any:
     return spaces.Box(np.tile(space.low, players), np.tile(space.high, players), dtype=np.float32)
 
 
 class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
-    """One environment, one agent that acts for all players; the arguments are those of :func:`ptne_env.parallel_env`.
+    """One environment with one agent that acts for all players; arguments are those of :func:`ptne_env.parallel_env`.
 
     The info has the same keys and dtypes after a reset and after every step: those of
     :class:`~ptne_env.NashSeekingEnv`, with ``clipped`` summed over players and ``reward_<term>`` averaged. ``diverged``
-    and ``is_success`` are arrays of shape (), because Gymnasium's vectors give scalars of numpy the dtype object.
+    and ``is_success`` are arrays of shape (), because Gymnasium's vectors give numpy scalars the dtype object.
 
-    Episodes do not draw from ``np_random``: each source of randomness has a generator of its own.
+    Episodes do not draw from ``np_random``, because each source of randomness has its own generator.
 
     Attributes:
         parallel: the wrapped environment.
-        layout: of each player's part of observations and actions.
+        layout: the layout of each player's part of observations and actions.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium declares it so
@@ -95,8 +95,8 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
         self.layout: ObservationLayout = self.parallel.layout
         self.render_mode = render_mode
         players = len(self.parallel.possible_agents)
-        self.observation_space = _tiled(self.layout.observation_space(), players)
-        self.action_space = _tiled(self.layout.action_space(), players)
+        self.observation_space = _join_boxes(self.layout.observation_space(), players)
+        self.action_space = _join_boxes(self.layout.action_space(), players)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -133,24 +133,24 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
 
 
 class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
-    """B environments, one agent in each, stepped together; for ``gymnasium.make_vec``.
+    """B environments with one agent each, stepped together, for ``gymnasium.make_vec``.
 
-    Infos hold the arrays of :class:`JointEnv`'s info, shape (B,), each with a mask ``_name`` of the environments that
-    it is of: those that were reset, or all of them after a step.
+    Infos hold arrays of shape (B,) of the entries of :class:`JointEnv`'s info, each with a mask ``_name`` of the
+    environments that have it: those that were reset, or all of them after a step.
 
     Args:
         scenario: a name of the catalogue or a scenario.
         num_envs: B.
-        autoreset_mode: when an environment that ended starts again: in the ``NEXT_STEP`` (default), in the
-            ``SAME_STEP`` (the last observation and info are in ``final_obs`` and ``final_info``), or on
-            ``reset(options={"reset_mask": mask})`` (``DISABLED``).
-        render_mode: ``None``; a vector of environments does not render.
-        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward,
-            max_cycles and fields of the scenario.
+        autoreset_mode: when an environment that has ended starts again: in the ``NEXT_STEP`` (default), in the
+            ``SAME_STEP`` (``final_obs`` and ``final_info`` hold the last observation and info), or, with ``DISABLED``,
+            on ``reset(options={"reset_mask": mask})``.
+        render_mode: ``None``, because a vector of environments does not render.
+        **arguments: arguments of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward, max_cycles and
+            fields of the scenario.
 
     Attributes:
         vector: the wrapped environments.
-        layout: of each player's part of observations and actions.
+        layout: the layout of each player's part of observations and actions.
     """
 
     def __init__(
@@ -174,8 +174,8 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         self.num_envs = self.vector.num_envs
         self.render_mode = None
         players = self.vector.num_players
-        self.single_observation_space = _tiled(self.vector.single_observation_space, players)
-        self.single_action_space = _tiled(self.vector.single_action_space, players)
+        self.single_observation_space = _join_boxes(self.vector.single_observation_space, players)
+        self.single_action_space = _join_boxes(self.vector.single_action_space, players)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
@@ -186,28 +186,28 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         """Start episodes.
 
         Args:
-            seed: S for S, S + 1, …, or one per environment.
+            seed: S for S, S + 1, …, or a seed per environment.
             options: ``{"reset_mask": mask}`` starts only the environments in the mask, shape (B,), bool;
-                ``{"estimates": table}`` starts from the given estimates, shape (N, n) for all or (B, N, n).
+                ``{"estimates": table}`` starts from these estimates, shape (N, n) for all or (B, N, n).
 
         Raises:
-            ValueError: for a wrong number of seeds, estimates of another shape, or a mask of another shape or dtype or
-                without a True.
+            ValueError: for a wrong number of seeds, estimates of another shape, or a mask that has another shape or
+                dtype or names no environment.
         """
-        given = require_options(options, "estimates", "reset_mask")
-        mask = given.get("reset_mask")
+        values = require_options(options, "estimates", "reset_mask")
+        mask = values.get("reset_mask")
         if mask is not None and not np.any(mask):
             raise ValueError("options['reset_mask'] must name at least one environment to reset")
-        observations, infos = self.vector.reset(seed, mask, given.get("estimates"))
+        observations, infos = self.vector.reset(seed, mask, values.get("estimates"))
         started = np.ones_like(self._over) if mask is None else np.asarray(mask)
         self._over = self._over & ~started
-        return self._joint(observations), _masked(_over_players(infos), started)
+        return self._joint(observations), _add_masks(_join_players(infos), started)
 
     def step(self, actions: Float32Array) -> tuple[Float32Array, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
-        """Step all environments and reset as the autoreset mode says.
+        """Step all environments, and reset as the autoreset mode says.
 
         Raises:
-            RuntimeError: before the first reset, or in mode ``DISABLED`` when an environment that ended was not reset.
+            RuntimeError: before the first reset, or with ``DISABLED`` when an environment that has ended was not reset.
             ValueError: when the actions have another shape or dtype, or are not finite.
         """
         actions = as_plain("joint actions", actions)
@@ -216,7 +216,7 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         actions = actions.reshape(self.num_envs, self.vector.num_players, -1)
         restart = self._over if self.autoreset_mode is AutoresetMode.NEXT_STEP else None
         outcome = self.vector.step(actions, restart)
-        observations, infos, final = self._joint(outcome.observations), _over_players(outcome.infos), {}
+        observations, infos, final = self._joint(outcome.observations), _join_players(outcome.infos), {}
         over = outcome.terminated | outcome.truncated
         self._over = over
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
@@ -226,14 +226,14 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
             final = {
                 "final_obs": final_observations,
                 "_final_obs": over.copy(),
-                "final_info": _masked(infos, over),
+                "final_info": _add_masks(infos, over),
                 "_final_info": over.copy(),
             }
             fresh, first = self.vector.reset(mask=over)
-            observations, first = self._joint(fresh), _over_players(first)
+            observations, first = self._joint(fresh), _join_players(first)
             infos = {name: np.where(over, first[name], values) for name, values in infos.items()}
             self._over = np.zeros_like(over)
-        infos = {**final, **_masked(infos, np.ones_like(over))}
+        infos = {**final, **_add_masks(infos, np.ones_like(over))}
         return observations, _mean(outcome.rewards), outcome.terminated, outcome.truncated, infos
 
     def _joint(self, observations: Float32Array) -> Float32Array:

@@ -1,4 +1,4 @@
-"""The PettingZoo environment: one world, N agents that act at once; the batch of one."""
+"""The PettingZoo environments: one world whose N agents act at once, or one after the other."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from ptne_env.envs.rendering import Renderer
-from ptne_env.envs.simulation import Simulation, changed_scenario, initial_estimates, player_encoder, require_options
+from ptne_env.envs.simulation import Simulation, override_fields, player_encoder, read_estimates, require_options
 from ptne_env.perception.encoder import NonFiniteActionError
 from ptne_env.perception.fields import OBSERVATION_BOUND, InterfaceKind
 from ptne_env.perception.observation import Interface, ObservationLayout
@@ -33,30 +33,31 @@ _SINGLE = np.dtype(np.float32)
 class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     """N players of a noncooperative game that must reach its Nash equilibrium by a deadline.
 
-    Agents are ``player_0`` … ``player_{N-1}`` and live until the episode ends, which is ``terminated`` after K steps to
-    the deadline and the hold phase (time is observed), or when an estimate or own gradient leaves ±5e5
-    (``info["diverged"]``); ``truncated`` only when ``max_cycles`` cuts earlier.
+    Agents are ``player_0`` … ``player_{N-1}`` and live until the episode ends. It is ``terminated`` after K steps to
+    the deadline and the hold phase, because time is observed, and when an estimate or own gradient leaves ±5e5
+    (``info["diverged"]``). It is ``truncated`` only when ``max_cycles`` cuts it earlier.
 
-    Each agent's info holds the same numpy scalars after a reset and after every step: ``diverged``, ``clipped``
-    (entries of its action beyond the limits), ``is_success`` (whether the relative distance of all estimates is now at
-    most 0.5 %) and ``reward_<term>``, such as ``reward_digits`` (each reward term, unweighted).
+    Each agent's info holds the same numpy scalars after a reset and after every step: ``diverged``, ``clipped`` (the
+    number of entries of its action beyond the limits), ``is_success`` (whether the relative distance of all estimates
+    is now at most 0.5 %) and each reward term, unweighted, such as ``reward_digits``.
 
     Args:
         scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
-        interface: ``"scaled"`` or ``"physical"``, or that of a policy, such as ``laws.Static.interface``; see
+        interface: ``"scaled"`` or ``"physical"``, or the interface of a policy, such as ``laws.Static.interface``; see
             :class:`~ptne_env.perception.observation.ObservationLayout`.
-        reward: a term's name (``digits``, ``tracking``, ``payoff``, ``regret``) or weights by name.
-        max_cycles: steps after which the episode is truncated.
+        reward: the name of a reward term (``digits``, ``tracking``, ``payoff``, ``regret``), or weights by name.
+        max_cycles: the number of steps after which the episode is truncated.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
-        **overrides: fields of the scenario to change, such as ``start="paper"``, ``hold_steps=50``, ``deadline=2.0``,
-            and ``players``, as in :func:`~ptne_env.world.catalogue.get_scenario`.
+        **overrides: fields of the scenario to change, such as ``start="paper"``, ``hold_steps=50`` or
+            ``deadline=2.0``, and ``players``, as in :func:`~ptne_env.world.catalogue.get_scenario`.
 
     Attributes:
         scenario: the physics.
-        world: the scenario, built.
-        layout: of observations and actions; laws and learned policies are built from it.
-        render_mode: as given.
-        state_space: of :meth:`state`, a float32 Box.
+        world: the world that was built from the scenario.
+        layout: the layout of observations and actions, from which laws and learned policies are built.
+        render_mode: the render mode.
+        state_space: the space of :meth:`state`, a float32 Box.
+        np_random: a generator for wrappers, seeded by :meth:`reset`; no draw from it changes an episode.
 
     Raises:
         TypeError: for an unknown keyword, naming similar ones, or all.
@@ -83,7 +84,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             modes = ", ".join(self.metadata["render_modes"])
             raise ValueError(f"unknown render_mode {render_mode!r}; choose None or one of {modes}")
-        self.scenario = changed_scenario(scenario, overrides, NashSeekingEnv)
+        self.scenario = override_fields(scenario, overrides, NashSeekingEnv)
         published = CATALOGUE.get(self.scenario.name)
         is_published = published is not None and published.game.target == self.scenario.game.target
         name = f"ptne_{self.scenario.name.replace('-', '_') if is_published else 'custom'}_v0"
@@ -104,22 +105,15 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self._renderer = Renderer(self.world, render_mode) if render_mode else None
         self._actions_shape = (1, players, self.layout.action_size)
         self._table: tuple[Float32Array, list[Float32Array]] | None = None
-        self._np_random: np.random.Generator | None = None
+        self.np_random = np.random.default_rng()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copies and pickles have no table of observations: its rows, which are views, would become separate arrays."""
+        """Leave out the table of observations, whose rows, which are views, would become separate arrays in a copy."""
         return {**self.__dict__, "_table": None}
 
     @property
-    def np_random(self) -> np.random.Generator:
-        """A generator for wrappers, seeded by :meth:`reset`; no draw from it changes an episode."""
-        if self._np_random is None:
-            self._np_random = np.random.default_rng()
-        return self._np_random
-
-    @property
     def max_cycles(self) -> int | None:
-        """Steps after which the episode is truncated, or ``None``; may be set at any time."""
+        """The number of steps after which the episode is truncated, or ``None``; may be set at any time."""
         return self._simulation.max_cycles
 
     @max_cycles.setter
@@ -127,31 +121,31 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self._simulation.max_cycles = value
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """The agent's own Box, the same object on every call."""
-        return self._of_agent(agent, self.observation_spaces)
+        """Return the agent's own Box, the same object on every call."""
+        return self._find_space(self.observation_spaces, agent)
 
     def action_space(self, agent: str) -> spaces.Box:
-        """The agent's own Box, the same object on every call."""
-        return self._of_agent(agent, self.action_spaces)
+        """Return the agent's own Box, the same object on every call."""
+        return self._find_space(self.action_spaces, agent)
 
-    def _of_agent(self, agent: str, found: Mapping[str, spaces.Box]) -> spaces.Box:
-        if agent not in found:
+    def _find_space(self, spaces_by_agent: Mapping[str, spaces.Box], agent: str) -> spaces.Box:
+        if agent not in spaces_by_agent:
             raise KeyError(f"unknown agent {agent!r}: agents are player_0 to {self.possible_agents[-1]}")
-        return found[agent]
+        return spaces_by_agent[agent]
 
     @property
     def strategies(self) -> FloatArray:
-        """The real strategies x now, shape (n,), float64."""
+        """The strategies x now, shape (n,), float64."""
         return dynamics.strategies(self._simulation.current)[:, 0]
 
     @property
     def estimates(self) -> FloatArray:
-        """All players' estimates now, row i being x^i; shape (N, n), float64."""
+        """The estimates of all players now, shape (N, n), float64, row i being x^i."""
         return self._simulation.current.estimates[:, :, 0].T.copy()
 
     @property
     def nash_equilibrium(self) -> FloatArray:
-        """x* of the game being played, shape (n,), float64.
+        """The equilibrium x* of the game that is played, shape (n,), float64.
 
         Raises:
             RuntimeError: before the first reset, where the scenario draws games.
@@ -161,7 +155,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     @property
     def time(self) -> float:
-        """t now, in seconds."""
+        """The time t now, in seconds."""
         return float(self.world.clock.t[self._simulation.current.step[0]])
 
     def reset(
@@ -170,25 +164,25 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         """Start an episode.
 
         Args:
-            seed: of all random draws from here on, and of :attr:`np_random`; ``None`` continues the generators of the
-                last seed.
-            options: ``{"estimates": table}`` starts from the given estimates, shape (N, n), row i being x^i(0), and
-                draws none. The key ``options`` of PettingZoo's conformance tests is ignored.
+            seed: the seed of all random draws from here on, and of :attr:`np_random`; ``None`` continues the generators
+                of the last seed.
+            options: ``{"estimates": table}`` starts from these estimates, shape (N, n), row i being x^i(0), in place of
+                drawn ones. The key ``options`` of PettingZoo's conformance tests is ignored.
 
         Raises:
-            TypeError: when the options are no dictionary.
+            TypeError: when the options are not a dictionary.
             ValueError: for an invalid seed, an unknown option, or estimates of the wrong shape or out of range.
         """
-        given = require_options(options, "estimates").get("estimates")
-        estimates = None if given is None else initial_estimates(self.layout, 1, given)
+        table = require_options(options, "estimates").get("estimates")
+        estimates = None if table is None else read_estimates(self.layout, 1, table)
         self._simulation.begin(self._simulation.draw([seed], estimates=estimates))
         if seed is not None:
-            self._np_random = np.random.default_rng(seed)
+            self.np_random = np.random.default_rng(seed)
         self.agents = self.possible_agents.copy()
         if self._renderer is not None:
             self._renderer.reset(self._simulation.current)
             self._render_human()
-        first = {"diverged": np.False_, "clipped": np.int64(0), "is_success": self._simulation.succeeded()[0]}
+        first = {"diverged": np.False_, "clipped": np.int64(0), "is_success": self._simulation.is_success()[0]}
         first |= dict.fromkeys(self._simulation.reward_names, np.float64(0))
         # Copies, because a view gives its policy the observations of all players, in the attribute ``base``.
         rows = map(np.ndarray.copy, self._simulation.observe()[0])
@@ -201,16 +195,16 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         """Hold all players' inputs for one step.
 
         Args:
-            actions: one per live agent, finite numbers of shape (action size,). Entries beyond the limits are clipped
-                to them and counted in ``info["clipped"]``.
+            actions: an action per live agent, finite numbers of shape (action size,). Entries beyond the limits are
+                clipped and counted in ``info["clipped"]``.
 
         Returns:
-            Observations, rewards, terminations, truncations and infos by agent; five empty dictionaries for no actions
-            after the end of an episode.
+            Observations, rewards, terminations, truncations and infos by agent; five empty dictionaries if there are no
+            actions after the end of an episode.
 
         Raises:
             RuntimeError: before the first reset, and for actions after the end of an episode.
-            ValueError: when an agent is missing or unknown, or an action has a wrong shape, dtype, a mask or is not
+            ValueError: when an agent is missing or unknown, or an action has a wrong shape or dtype, is masked or not
                 finite; the state stays as it was.
         """
         agents = self.agents
@@ -222,7 +216,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         try:
             outcome = self._simulation.step(self._stack(actions), table)
         except NonFiniteActionError:
-            raise self._complaint(actions) from None
+            raise self._action_error(actions) from None
         diverged, is_success = outcome.diverged[0], outcome.is_success[0]
         name, *others = self._simulation.reward_names
         values, *terms = outcome.terms.values()
@@ -243,10 +237,10 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         return observations, rewards, dict.fromkeys(agents, terminated), dict.fromkeys(agents, truncated), infos
 
     def state(self) -> Float32Array:
-        """A global view for centralised critics: all estimates (player by player), the active adjacency, the clock.
+        """Return a global view for centralised critics: all estimates by player, the active adjacency, and the clock.
 
         Returns:
-            A float32 vector of length N n + N² + 4, the clock being (t/T, s, Θ_k, Δt_k/T).
+            A float32 vector of length N n + N² + 4, in which the clock is (t/T, s, Θ_k, Δt_k/T).
         """
         state, clock = self._simulation.current, self.world.clock
         step = int(state.step[0])
@@ -255,7 +249,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         return np.concatenate([state.estimates[:, :, 0].T.ravel(), adjacency.ravel(), times]).astype(np.float32)
 
     def get_state(self) -> State:
-        """The state now, a batch of one, for :func:`ptne_env.world.dynamics.step` and :meth:`set_state`.
+        """Return the state now, a batch of one, for :func:`ptne_env.world.dynamics.step` and :meth:`set_state`.
 
         Raises:
             RuntimeError: before the first reset.
@@ -263,12 +257,12 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         return self._simulation.current
 
     def set_state(self, state: State) -> None:
-        """Continue the episode from ``state``, a batch of one of the same world.
+        """Continue the episode from a state, a batch of one of the same world.
 
         The random generators stay as they are, so the next reset draws as if this had not been called.
 
         Raises:
-            ValueError: for a state that does not fit the world, or of several environments; the state stays as it was.
+            ValueError: for a state of another world or of several environments; the state stays as it was.
         """
         self._simulation.set_state(state)
         self.agents = [] if dynamics.is_over(self.world, state)[0] else self.possible_agents.copy()
@@ -276,7 +270,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._renderer.reset(state)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """A picture of the episode so far: (height, width, 3) uint8 in mode ``rgb_array``, a window in ``human``.
+        """Return a picture of the episode so far, (height, width, 3) uint8; the mode ``human`` shows it in a window.
 
         Raises:
             RuntimeError: without a render mode, or before the first reset.
@@ -297,30 +291,30 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self._renderer.draw()
 
     def _new_table(self) -> tuple[Float32Array, list[Float32Array]]:
-        """The table that observations are written to, and its rows, made once because making views takes time."""
+        """Make the table of observations and its rows once, because making views takes time."""
         table = np.empty((1, len(self.possible_agents), self.layout.size), dtype=np.float32)
         self._table = table, list(table[0])
         return self._table
 
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
-        """All actions in the order of the agents, shape (1, N, action size)."""
+        """Return all actions in the order of the agents, shape (1, N, action size)."""
         try:
             rows = [actions[agent] for agent in self.agents]
             stacked = np.array(rows)[None]
         except (KeyError, IndexError, TypeError, ValueError):
-            raise self._complaint(actions) from None
+            raise self._action_error(actions) from None
         if stacked.shape != self._actions_shape or len(actions) != len(rows):
-            raise self._complaint(actions)
+            raise self._action_error(actions)
         for row in rows:
             if type(row) is np.ndarray and row.dtype is _SINGLE:  # nearly always, and dtypes are one object
                 continue
             array = np.asanyarray(row)
             if array.dtype.kind not in "fiu" or isinstance(array, MaskedArray):
-                raise self._complaint(actions)
+                raise self._action_error(actions)
         return stacked if stacked.dtype.kind == "f" else stacked.astype(np.float64)
 
-    def _complaint(self, actions: Mapping[str, Any]) -> ValueError:
-        """The faults of ``actions``, agent by agent."""
+    def _action_error(self, actions: Mapping[str, Any]) -> ValueError:
+        """Return an error that names what is wrong with actions, agent by agent."""
         if not isinstance(actions, Mapping):
             return ValueError(f"step() needs a dictionary with one action per agent, got a {type(actions).__name__}")
         missing = [agent for agent in self.agents if agent not in actions]
@@ -330,13 +324,13 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
                 f"step() needs one action per live agent; missing: {', '.join(missing) or 'none'}; unknown: "
                 f"{', '.join(map(str, unknown)) or 'none'}; live: {', '.join(self.agents)}"
             )
-        faults = {agent: _fault(actions[agent], self._actions_shape[2:]) for agent in self.agents}
-        found = [f"the action of {agent} {fault}" for agent, fault in faults.items() if fault]
-        return ValueError("; ".join(found[:3]) + f"; and {len(found) - 3} more players" * (len(found) > 3))
+        faults = {agent: _find_fault(actions[agent], self._actions_shape[2:]) for agent in self.agents}
+        texts = [f"the action of {agent} {fault}" for agent, fault in faults.items() if fault]
+        return ValueError("; ".join(texts[:3]) + f"; and {len(texts) - 3} more players" * (len(texts) > 3))
 
 
-def _fault(action: Any, shape: tuple[int, ...]) -> str | None:
-    """The fault of an action, or ``None``."""
+def _find_fault(action: Any, shape: tuple[int, ...]) -> str | None:
+    """Return what is wrong with an action, or ``None``."""
     if isinstance(action, MaskedArray):
         return "is a masked array; expected a plain one"
     try:
@@ -351,17 +345,16 @@ def _fault(action: Any, shape: tuple[int, ...]) -> str | None:
 
 
 parallel_env = NashSeekingEnv
-"""PettingZoo's name for what makes a ParallelEnv."""
+"""PettingZoo's name for the function that makes a ParallelEnv."""
 
 
 def aec_env(scenario: str | Scenario = "energy", **arguments: Any) -> AECEnv:
-    """The turn-based form of a scenario, with PettingZoo's check of the order of calls.
+    """Return PettingZoo's turn-based (AEC) form, in which players act one after the other on the same observation.
+
+    The order of calls is checked.
 
     Args:
         scenario: a name of the catalogue or a scenario.
-        **arguments: of :func:`ptne_env.parallel_env`.
-
-    Raises:
-        TypeError, ValueError: as :func:`ptne_env.parallel_env`.
+        **arguments: the arguments of :func:`ptne_env.parallel_env`, which also has the errors.
     """
     return OrderEnforcingWrapper(parallel_to_aec_wrapper(parallel_env(scenario, **arguments)))

@@ -21,21 +21,21 @@ _SIZE, _DPI = (9.6, 5.4), 100
 _STYLE = {"font.size": 11, "legend.fontsize": 11}
 
 _MOST_LINES = 200
-"""Estimates by other players are drawn up to this many lines; beyond it, the strategies alone."""
+"""Largest number of lines with which the estimates of other players are drawn beside the strategies."""
 
 _MOST_NAMES = 10
-"""The legend names up to this many players."""
+"""Largest number of players that the legend names."""
 
 _Limits = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Renderer:
-    """Draws the episode so far, with the names of the agents: number 0 in the graph is ``player_0``.
+    """A painter of the episode so far; number 0 in the graph is the agent ``player_0``.
 
     Args:
         world: the world.
-        mode: ``"human"`` shows a window where the display has one, ``"rgb_array"`` returns the picture.
-        title: the beginning of the headline; the scenario's name if left out.
+        mode: ``"human"`` to show pictures in a window, ``"rgb_array"`` to return them.
+        title: the beginning of the headline; the name of the scenario if left out.
     """
 
     def __init__(self, world: World, mode: str, title: str | None = None) -> None:
@@ -49,22 +49,22 @@ class Renderer:
         self._still: Any = None
 
     def fix_axes(self, states: Sequence[State]) -> None:
-        """Give every picture the axes that ``states``, the whole episode, need: in a video the axes stand still.
+        """Give every picture the axes that ``states``, the whole episode, need, so that they stand still in a video.
 
-        They are drawn once, and lines, links and headline over them for each picture, which is ten times faster.
+        The axes are then drawn once, and each picture adds its lines, links and headline, which is ten times faster.
         """
-        self._limits = _needed(*_histories(states), states[0])
+        self._limits = _axis_limits(*_histories(states), states[0])
 
     def reset(self, state: State) -> None:
-        """Forget the last episode and start with ``state``."""
+        """Forget the last episode and start with a state."""
         self._states = [state]
 
     def record(self, state: State) -> None:
-        """Add an instant."""
+        """Add a state to the episode."""
         self._states.append(state)
 
     def draw(self) -> npt.NDArray[np.uint8] | None:
-        """The picture, (height, width, 3) uint8; ``None`` in mode ``human``, which shows it instead.
+        """Return the picture, (height, width, 3) uint8, or show it and return ``None`` in mode ``human``.
 
         Raises:
             ImportError: when matplotlib is missing, naming the extra to install.
@@ -74,7 +74,7 @@ class Renderer:
             self._figure = figure = self._figure or self._open()
             if self._still is None:
                 figure.clear()
-                self._lay_out(figure, self._limits or _needed(estimates, far, self._states[0]))
+                self._lay_out(figure, self._limits or _axis_limits(estimates, far, self._states[0]))
                 if self._limits is not None:
                     figure.canvas.draw()
                     self._still = figure.canvas.copy_from_bbox(figure.bbox)  # type: ignore[attr-defined]  # Agg has it
@@ -115,7 +115,7 @@ class Renderer:
         return figure
 
     def _lay_out(self, figure: Figure, limits: _Limits) -> None:
-        """What stands still where the axes do: axes, equilibrium, deadline and the links that are ever up."""
+        """Draw what stands still with the axes: the axes, equilibrium, deadline and all links that are ever up."""
         self._axes = figure.subplot_mosaic(
             [["estimates", "distance"], ["estimates", "graph"]],
             width_ratios=[3, 2],
@@ -136,11 +136,11 @@ class Renderer:
         distance.set_yscale("log")
         distance.set_title("relative distance of the estimates", loc="left")
         distance.minorticks_off()
-        for each, limit in zip((estimates, distance), limits, strict=True):
-            each.set(xlim=(0, clock.t[-1]), xlabel="time t [s]", ylim=limit)
-            each.axvline(clock.deadline, color=FAINT, linewidth=1)
+        for axes, limit in zip((estimates, distance), limits, strict=True):
+            axes.set(xlim=(0, clock.t[-1]), xlabel="time t [s]", ylim=limit)
+            axes.axvline(clock.deadline, color=FAINT, linewidth=1)
             at: Any = (clock.deadline, 1), (-4, -2), ("data", "axes fraction"), "offset points"
-            each.annotate("T", *at, ha="right", va="top")
+            axes.annotate("T", *at, ha="right", va="top")
         x, y = self._places
         for i, j in self.world.topology.union.edges:
             graph.plot(x[[i, j]], y[[i, j]], color=FAINT, linestyle=":", linewidth=1.5 * self._thinness, zorder=1)
@@ -149,7 +149,7 @@ class Renderer:
         graph.axis("off")
 
     def _draw_moving(self, figure: Figure, estimates: FloatArray, far: Sequence[float]) -> list[Any]:
-        """What every picture has of its own: strategies, estimates, distance, live links and the headline."""
+        """Draw what moves: strategies, estimates, distance, live links and the headline."""
         game, times, players = self._states[0].game, self.world.clock.t[: len(far)], self.world.game.num_players
         left, distance, graph = (self._axes[name] for name in ("estimates", "distance", "graph"))
         last: dict[str, Any] = {"marker": "o", "markevery": [-1], "markersize": 4}
@@ -181,12 +181,12 @@ class Renderer:
 
     @property
     def _thinness(self) -> float:
-        """Factor of the widths of links, which shrink with the number of players."""
+        """Factor of the widths of links, which are thinner where there are many players."""
         return min(1.0, 10 / self.world.game.num_players)
 
     @property
     def _places(self) -> tuple[FloatArray, FloatArray]:
-        """Of the players: on a circle, clockwise from the top."""
+        """The places of the players on a circle, clockwise from the top."""
         players = self.world.game.num_players
         angles = np.pi / 2 - 2 * np.pi * np.arange(players) / players
         return np.cos(angles), np.sin(angles)
@@ -197,13 +197,13 @@ def _colour(player: int) -> str:
 
 
 def _histories(states: Sequence[State]) -> tuple[FloatArray, list[float]]:
-    """Estimates (instants, n, N) and the relative distance of all of them at every instant."""
+    """Return the estimates, shape (instants, n, N), and their relative distance at every instant."""
     estimates = np.array([state.estimates[:, :, 0] for state in states])
     return estimates, [float(distances.estimate_distance(state.estimates, state.game)[0]) for state in states]
 
 
-def _needed(estimates: FloatArray, far: Sequence[float], state: State) -> _Limits:
-    """Limits of the two vertical axes: room for estimates and equilibria, and a decade of distances at least."""
+def _axis_limits(estimates: FloatArray, far: Sequence[float], state: State) -> _Limits:
+    """Return the limits of the vertical axes: of estimates and equilibria, and of a decade of distances at least."""
     values = np.concatenate([estimates.ravel(), state.game.nash_equilibria[:, 0]])
     margin = 0.05 * (values.max() - values.min()) or 1.0
     nearest = max(min(1.0, *far), distances.FLOOR)

@@ -1,4 +1,4 @@
-"""Stable-Baselines3: every player of B environments as one of its environments, all with one policy.
+"""The Stable-Baselines3 environment: each player of B environments is one member, and all share one policy.
 
 Needs the extra ``pip install "ptne-env[sb3]"``.
 """
@@ -28,25 +28,24 @@ Indices = int | Iterable[int] | None
 class PlayerVecEnv(VecEnv):
     """A Stable-Baselines3 ``VecEnv`` of B·N members, one for every player of every environment.
 
-    Member b·N + i is player i of environment b. All members share one policy, and the observation holds the player's
-    one-hot. Environments are reset in the step that ends them; then ``infos`` of their members hold
-    ``terminal_observation``, ``TimeLimit.truncated``, ``episode`` (return, length and seconds, as a ``Monitor`` gives
-    them, so none is needed) and the entries of :class:`~ptne_env.NashSeekingEnv`'s infos. Of a step that ends nothing
-    the infos are empty.
+    Member b·N + i is player i of environment b. All members share one policy, and observations name the player by a
+    one-hot vector. Environments are reset in the step that ends them. The ``infos`` of their members then hold
+    ``terminal_observation``, ``TimeLimit.truncated``, ``episode`` (return, length and seconds as from a ``Monitor``,
+    which is not needed) and the entries of :class:`~ptne_env.NashSeekingEnv`'s infos; other infos are empty.
 
     The environments are one object: ``get_attr`` and ``set_attr`` reach its attributes, and ``env_method`` calls a
     method once and returns the answer for each requested member.
 
     Args:
         scenario: a name of the catalogue or a scenario.
-        num_envs: B, environments; the ``num_envs`` of the VecEnv is B·N.
-        seed: of the first reset; environment b gets seed + b.
-        **arguments: of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward, max_cycles and fields of
-            the scenario.
+        num_envs: B, the number of environments; the ``num_envs`` of the VecEnv is B·N.
+        seed: the seed of the first reset; environment b gets seed + b.
+        **arguments: arguments of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward, max_cycles and
+            fields of the scenario.
 
     Attributes:
         vector: the environments.
-        layout: of observations and actions.
+        layout: the layout of observations and actions.
 
     Raises:
         TypeError: for an unknown keyword, naming similar ones, or all.
@@ -72,13 +71,13 @@ class PlayerVecEnv(VecEnv):
             self.seed(seed)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the next reset: environment b gets seed + b, which all its members report."""
+        """Seed the next reset with seed + b for environment b, and return the seed of each member."""
         first = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else require_count("a seed", seed, 0)
         self._seeds = [first + member // self._players for member in range(self.num_envs)]
         return self._seeds
 
     def reset(self) -> Float32Array:
-        """Start all episodes; observations of shape (B·N, size)."""
+        """Start all episodes and return the observations, shape (B·N, size)."""
         observations, _ = self.vector.reset(self._seeds[:: self._players])
         self._returns[:], self._lengths[:] = 0, 0
         self.reset_infos = [{} for _ in range(self.num_envs)]
@@ -87,11 +86,11 @@ class PlayerVecEnv(VecEnv):
         return observations.reshape(self.num_envs, -1)
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Remember the actions, shape (B·N, action size)."""
+        """Store the actions, shape (B·N, action size)."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Float32Array, Float32Array, BoolArray, list[dict[str, Any]]]:
-        """Step, and reset the environments that ended.
+        """Step, and reset the environments whose episodes end.
 
         Raises:
             RuntimeError: before the first reset.
@@ -115,45 +114,45 @@ class PlayerVecEnv(VecEnv):
         return observations.reshape(self.num_envs, -1), rewards, dones, infos
 
     def _last_info(self, outcome: VectorStep, member: int) -> dict[str, Any]:
-        """The info of a member whose episode ends."""
+        """Return the info of a member whose episode ends."""
         env, player = divmod(member, self._players)
         seconds = round(time() - self._began, 6)
         return {
             "terminal_observation": outcome.observations[env, player].copy(),
             "TimeLimit.truncated": bool(outcome.truncated[env]),
             "episode": {"r": float(self._returns[member]), "l": int(self._lengths[member]), "t": seconds},
-            **{name: each[env] if each.ndim == 1 else each[env, player] for name, each in outcome.infos.items()},
+            **{name: info[env] if info.ndim == 1 else info[env, player] for name, info in outcome.infos.items()},
         }
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing; there is nothing to release."""
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """The attribute, once per requested member."""
-        return [getattr(self._home(attr_name), attr_name)] * self._count(indices)
+        """Return the attribute once per requested member."""
+        return [getattr(self._owner(attr_name), attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set the attribute of the environments, which are one object; ``indices`` must be all members.
+        """Set an attribute of the environments, which are one object; ``indices`` must name all members.
 
         Raises:
             ValueError: when only some members are named.
         """
         if self._count(indices) != self.num_envs:
             raise ValueError("the members share one environment object: an attribute is set for all of them or none")
-        setattr(self._home(attr_name), attr_name, value)
+        setattr(self._owner(attr_name), attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call the method once; its answer, once per requested member."""
+        """Call the method once and return its answer once per requested member."""
         return [getattr(self.vector, method_name)(*method_args, **method_kwargs)] * self._count(indices)
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
-        """Whether members report as this wrapper does: ``Monitor`` alone."""
+        """Return whether the members report as this wrapper does, which is true of ``Monitor`` alone."""
         return [wrapper_class is Monitor] * self._count(indices)
 
-    def _home(self, name: str) -> Any:
-        """The object that has the attribute."""
+    def _owner(self, name: str) -> Any:
+        """Return the object that has the attribute."""
         return self if name == "render_mode" else self.vector
 
     def _count(self, indices: Indices) -> int:

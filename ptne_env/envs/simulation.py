@@ -26,16 +26,16 @@ from ptne_env.world.world import RANGE_LIMIT, World
 
 
 class StepResult(NamedTuple):
-    """The result of a step, to be read before the next step. Environments last where there are players too.
+    """The result of a step, which the next step may overwrite. Environments are last, except in ``clipped``.
 
     Attributes:
-        rewards: weighted sum of the terms, shape (N, B).
+        rewards: the weighted sum of the terms, shape (N, B).
         terms: each reward term, unweighted, shape (N, B).
-        terminated: shape (B,).
-        truncated: shape (B,).
+        terminated: whether each episode has ended, shape (B,).
+        truncated: whether ``max_cycles`` cuts each episode, shape (B,).
         diverged: whether each environment is out of range, shape (B,).
         is_success: whether all estimates of each environment are within 0.5 % of the equilibrium, shape (B,).
-        clipped: entries of each player's action that were outside the box, shape (B, N).
+        clipped: the number of entries of each player's action that were outside the box, shape (B, N).
     """
 
     rewards: FloatArray
@@ -47,12 +47,12 @@ class StepResult(NamedTuple):
     clipped: IntArray
 
 
-class Start(NamedTuple):
+class EpisodeStart(NamedTuple):
     """The draws with which episodes start.
 
     Attributes:
         streams: the random generators of all environments.
-        state: of the environments that start.
+        state: the state of the environments that start.
         mask: whether each environment starts, shape (B,).
     """
 
@@ -61,29 +61,29 @@ class Start(NamedTuple):
     mask: BoolArray
 
 
-def changed_scenario(scenario: str | Scenario, changes: Mapping[str, Any], made: Callable[..., Any]) -> Scenario:
-    """The scenario of an environment, with the fields changed that its constructor was given.
+def override_fields(scenario: str | Scenario, overrides: Mapping[str, Any], make: Callable[..., Any]) -> Scenario:
+    """Return the scenario of an environment, with the fields that were given to the constructor of the environment.
 
     Args:
         scenario: a name of the catalogue or a scenario.
-        changes: keyword arguments of the constructor that are not its own.
-        made: the constructor.
+        overrides: the keyword arguments that are not parameters of the constructor.
+        make: the constructor.
 
     Raises:
-        TypeError: for a keyword that is no field, with those that are like it, or all where none is.
+        TypeError: for a keyword that is not a field, naming similar ones, or all where none is similar.
         ValueError: for an unknown name, or an invalid value.
     """
-    own = [name for name, each in signature(made).parameters.items() if each.kind is not Parameter.VAR_KEYWORD]
+    own = [name for name, argument in signature(make).parameters.items() if argument.kind is not Parameter.VAR_KEYWORD]
     known = [*own, "players", *(field.name for field in fields(Scenario))]
-    for keyword in changes:
+    for keyword in overrides:
         if keyword not in known:  # TorchRL reads the first half of the message
             problem = f"the environment got an unexpected keyword argument {keyword!r}"
             raise TypeError(f"{problem}; {suggestion(keyword, known)}")
-    return get_scenario(scenario, **changes)
+    return get_scenario(scenario, **overrides)
 
 
 def player_encoder(world: World, interface: InterfaceKind | Interface) -> Encoder:
-    """The encoder of an environment, which shows no more than players see.
+    """Return the encoder of an environment, which shows no more than players see.
 
     Raises:
         ValueError: for an unknown interface, and for one with a field that players lack, such as ``full``.
@@ -91,17 +91,17 @@ def player_encoder(world: World, interface: InterfaceKind | Interface) -> Encode
     encoder = Encoder(world, interface)
     if encoder.layout.interface.is_privileged:
         raise ValueError(
-            f"{encoder.layout.interface} shows information that players lack and is for oracles in evaluations only; "
+            f"{encoder.layout.interface} shows information that players lack, and is only for oracles in evaluations; "
             "choose 'scaled' or 'physical'"
         )
     return encoder
 
 
 def require_options(options: Any, *known: str) -> Mapping[str, Any]:
-    """The options of a reset: a dictionary with ``known`` keys, and perhaps ``options``, which is ignored.
+    """Return the options of a reset, a dictionary with ``known`` keys; its key ``options`` is ignored.
 
     Raises:
-        TypeError: when they are something else.
+        TypeError: when the options are not a dictionary.
         ValueError: for an unknown key.
     """
     if not isinstance(options, Mapping | None):
@@ -112,19 +112,19 @@ def require_options(options: Any, *known: str) -> Mapping[str, Any]:
     return options or {}
 
 
-def initial_estimates(layout: ObservationLayout, num_envs: int, given: npt.ArrayLike) -> FloatArray:
-    """The initial estimates of B environments, with environments last, (n, N, B), read-only.
+def read_estimates(layout: ObservationLayout, num_envs: int, estimates: npt.ArrayLike) -> FloatArray:
+    """Return the initial estimates of B environments as a read-only array of shape (n, N, B).
 
     Args:
-        layout: of the environments.
+        layout: the layout of the environments.
         num_envs: B.
-        given: by the caller, shape (N, n) for all or (B, N, n), row i being x^i(0).
+        estimates: the caller's table, shape (N, n) for all environments or (B, N, n), row i being x^i(0).
 
     Raises:
-        ValueError: for another shape, or no numbers.
+        ValueError: for another shape, or for entries that are not numbers.
     """
     try:
-        table = as_plain("initial estimates", given).astype(np.float64)
+        table = as_plain("initial estimates", estimates).astype(np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"initial estimates are an (N, n) or (B, N, n) table of numbers: {error}") from error
     shape = (num_envs, layout.num_players, layout.dimension)
@@ -137,14 +137,14 @@ class Simulation:
     """B environments that are stepped together and reset one by one.
 
     Args:
-        encoder: of observations and actions; its world is simulated.
-        reward: a term's name, or weights by name.
-        max_cycles: steps after which an episode is truncated, or ``None``.
+        encoder: the encoder of observations and actions, whose world is simulated.
+        reward: the name of a reward term, or weights by name.
+        max_cycles: the number of steps after which an episode is truncated, or ``None``.
         num_envs: B.
 
     Attributes:
-        encoder: as given.
-        world: of the encoder.
+        encoder: the encoder.
+        world: the world of the encoder.
         num_envs: B.
         reward_names: the names of the reward terms in infos.
 
@@ -172,7 +172,7 @@ class Simulation:
 
     @property
     def max_cycles(self) -> int | None:
-        """As given; may be set at any time."""
+        """The number of steps after which an episode is truncated, or ``None``; may be set at any time."""
         return self._max_cycles
 
     @max_cycles.setter
@@ -181,7 +181,7 @@ class Simulation:
 
     @property
     def current(self) -> State:
-        """The state.
+        """The state now.
 
         Raises:
             RuntimeError: before the first reset.
@@ -191,7 +191,7 @@ class Simulation:
         return self.state
 
     def set_state(self, state: State) -> None:
-        """Continue from ``state``, of as many environments; the random generators stay as they are.
+        """Continue from a state of as many environments; the random generators stay as they are.
 
         Raises:
             ValueError: as :func:`ptne_env.world.dynamics.require_state`; the state stays as it was.
@@ -205,44 +205,46 @@ class Simulation:
         seeds: Sequence[int | None] | None = None,
         mask: BoolArray | None = None,
         estimates: FloatArray | None = None,
-    ) -> Start:
+    ) -> EpisodeStart:
         """Draw the start of episodes, which :meth:`begin` starts.
 
         Args:
-            seeds: one per environment; ``None`` continues the present generators. Only those in ``mask`` count.
-            mask: whether each environment starts afresh, shape (B,); all if left out.
-            estimates: initial estimates instead of drawn ones, shape (n, N, environments in mask).
+            seeds: a seed per environment, or ``None`` to continue its generators. Only those in ``mask`` count.
+            mask: whether each environment starts, shape (B,); all if left out.
+            estimates: the initial estimates in place of drawn ones, shape (n, N, environments in ``mask``).
 
         Raises:
             ValueError: for an invalid seed or estimates, or a drawn game that is not strongly monotone.
         """
         mask = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
-        chosen = np.flatnonzero(mask).tolist()
+        starting = np.flatnonzero(mask).tolist()
         seeds = seeds or [None] * self.num_envs
         streams = list(self._streams) or [RandomStreams.from_seed(seed) for seed in seeds]
-        for index in chosen:
+        for index in starting:
             if seeds[index] is not None:
                 streams[index] = RandomStreams.from_seed(seeds[index])
         if estimates is not None:  # they may be refused, and then nothing has been drawn
             streams = copy.deepcopy(streams)
-        fresh = dynamics.draw_initial_state(self.world, [streams[index] for index in chosen], estimates)
+        fresh = dynamics.draw_initial_state(self.world, [streams[index] for index in starting], estimates)
         if fresh.any_diverged:
             raise ValueError(f"own gradients at the initial estimates must be within ±{RANGE_LIMIT:g}: start closer")
-        return Start(streams, fresh, mask)
+        return EpisodeStart(streams, fresh, mask)
 
-    def begin(self, start: Start) -> None:
-        """Start the episodes that were drawn; the first start is that of every environment."""
+    def begin(self, start: EpisodeStart) -> None:
+        """Start the episodes that were drawn; the first start includes every environment."""
         self._streams, state, mask = start
         self.state = state if mask.all() else dynamics.merge(self.current, state, mask)
         self._reward.reset(self.state)
 
-    def step(self, actions: npt.NDArray[np.floating], out: Float32Array, restart: Start | None = None) -> StepResult:
+    def step(
+        self, actions: npt.NDArray[np.floating], out: Float32Array, restart: EpisodeStart | None = None
+    ) -> StepResult:
         """Hold all players' inputs for one step.
 
         Args:
-            actions: shape (B, N, action size); entries beyond the limits are clipped and counted.
-            out: where the observations are written, (B, N, size), float32 and C-contiguous.
-            restart: the start of environments that start afresh instead of moving: their rewards are 0.
+            actions: the actions, shape (B, N, action size); entries beyond the limits are clipped and counted.
+            out: the array for the observations, shape (B, N, size), float32 and C-contiguous.
+            restart: the start of environments that start instead of moving, and whose rewards are 0.
 
         Raises:
             RuntimeError: before the first reset.
@@ -259,13 +261,13 @@ class Simulation:
             terms = {name: np.where(moves, term, 0.0) for name, term in terms.items()}
             terminated, truncated, diverged = terminated & moves, truncated & moves, diverged & moves
         self.encoder.observe(self.state, out)
-        total, is_success = self._reward.total(terms), self.succeeded()
+        total, is_success = self._reward.total(terms), self.is_success()
         return StepResult(total, terms, terminated, truncated, diverged, is_success, clipped)
 
     def observe(self, out: Float32Array | None = None) -> Float32Array:
-        """Observations of all players, shape (B, N, size), float32, owned by the caller."""
+        """Return the observations of all players, shape (B, N, size), float32, owned by the caller."""
         return self.encoder.observe(self.current, out)
 
-    def succeeded(self) -> BoolArray:
-        """Whether each environment is within 0.5 % of the equilibrium in all estimates and in range, shape (B,)."""
+    def is_success(self) -> BoolArray:
+        """Return whether each environment is in range and all its estimates within 0.5 % of x*, shape (B,)."""
         return distances.is_success(self._reward.distances)

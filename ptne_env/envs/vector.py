@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from ptne_env.envs.simulation import Simulation, Start, changed_scenario, initial_estimates, player_encoder
+from ptne_env.envs.simulation import EpisodeStart, Simulation, override_fields, player_encoder, read_estimates
 from ptne_env.perception.fields import InterfaceKind
 from ptne_env.perception.observation import Interface, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain, require_count, require_mask
@@ -17,23 +17,23 @@ from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
 
 BLOCK_SIZE = 2048
-"""Largest number of environments in a block: beyond it the calls of a block cost little beside its arithmetic."""
+"""Largest number of environments in a block; with more of them, calls cost little beside the arithmetic."""
 
 BLOCK_ENTRIES = 300_000
-"""Largest number of observed entries in a block, so that its arrays fit into a core's cache."""
+"""Largest number of observed entries in a block, whose arrays then fit into the cache of a core."""
 
 
 class VectorStep(NamedTuple):
-    """The result of :meth:`VectorParallelEnv.step`. Arrays are C-contiguous and owned by the caller.
+    """The result of :meth:`VectorParallelEnv.step`, in C-contiguous arrays that the caller owns.
 
     Attributes:
-        observations: shape (B, N, size), float32.
-        rewards: shape (B, N), float64.
-        terminated: shape (B,).
-        truncated: shape (B,).
-        infos: ``diverged`` (B,), bool; ``clipped`` (B, N), int64, entries beyond the limits; ``is_success`` (B,), bool,
-            whether the relative distance of all estimates is now at most 0.5 %; and each reward term, unweighted, such
-            as ``reward_digits`` (B, N), float64.
+        observations: the observations, shape (B, N, size), float32.
+        rewards: the rewards, shape (B, N), float64.
+        terminated: whether each episode has ended, shape (B,).
+        truncated: whether ``max_cycles`` cuts each episode, shape (B,).
+        infos: ``diverged`` (B,), bool; ``clipped`` (B, N), int64, the number of entries beyond the limits;
+            ``is_success`` (B,), bool, whether the relative distance of all estimates is now at most 0.5 %; and each
+            reward term, unweighted, such as ``reward_digits`` (B, N), float64.
     """
 
     observations: Float32Array
@@ -44,10 +44,10 @@ class VectorStep(NamedTuple):
 
 
 class VectorParallelEnv:
-    """B environments × N players.
+    """B environments of N players each.
 
-    No environment resets itself: an environment that is over starts again with ``reset(mask=...)`` before the next
-    step. Each environment equals a :class:`~ptne_env.NashSeekingEnv` of the same seed, bit for bit.
+    No environment resets itself: one that is over must be started again with ``reset(mask=...)`` before the next step.
+    Each environment equals a :class:`~ptne_env.NashSeekingEnv` of the same seed, bit for bit.
 
     Args:
         scenario: a name of the catalogue or a scenario.
@@ -59,10 +59,10 @@ class VectorParallelEnv:
         scenario: the physics.
         num_envs: B.
         num_players: N.
-        layout: of observations and actions.
+        layout: the layout of observations and actions.
         reward_names: the names of the reward terms in infos.
-        single_observation_space: of one player.
-        single_action_space: of one player.
+        single_observation_space: the space of one player's observation.
+        single_action_space: the space of one player's action.
 
     Raises:
         TypeError: for an unknown keyword, naming similar ones, or all.
@@ -79,7 +79,7 @@ class VectorParallelEnv:
         max_cycles: int | None = None,
         **overrides: Any,
     ) -> None:
-        self.scenario = changed_scenario(scenario, overrides, VectorParallelEnv)
+        self.scenario = override_fields(scenario, overrides, VectorParallelEnv)
         self.num_envs = require_count("num_envs", num_envs, 1)
         encoder = player_encoder(World(self.scenario), interface)
         self.layout: ObservationLayout = encoder.layout
@@ -101,7 +101,7 @@ class VectorParallelEnv:
 
     @property
     def max_cycles(self) -> int | None:
-        """Steps after which an episode is truncated; may be set at any time."""
+        """The number of steps after which an episode is truncated, or ``None``; may be set at any time."""
         return self._blocks[0].max_cycles
 
     @max_cycles.setter
@@ -118,13 +118,14 @@ class VectorParallelEnv:
         """Start episodes.
 
         Args:
-            seed: one per environment, or S for S, S + 1, …; ``None`` continues the present generators.
-            mask: whether each environment starts afresh, shape (B,), bool; all if left out.
-            estimates: initial estimates instead of drawn ones, shape (N, n) for all or (B, N, n), row i being x^i(0).
+            seed: a seed per environment, or S for S, S + 1, …; ``None`` continues the generators.
+            mask: whether each environment starts, shape (B,), bool; all if left out.
+            estimates: the initial estimates in place of drawn ones, shape (N, n) for all environments or (B, N, n), row
+                i being x^i(0).
 
         Returns:
-            Observations of all environments, shape (B, N, size), float32, owned by the caller; and their infos as
-            :class:`VectorStep` has them, as if all had just started.
+            The observations of all environments, shape (B, N, size), float32, owned by the caller, and the infos of
+            :class:`VectorStep` as if all had just started.
 
         Raises:
             ValueError: for an invalid seed, a wrong number of seeds, a mask of another shape or dtype, a mask that
@@ -133,17 +134,18 @@ class VectorParallelEnv:
         """
         seeds = self._seeds(seed)
         everyone = np.ones(self.num_envs, dtype=np.bool_)
-        chosen = everyone if mask is None else require_mask("a reset mask", mask, self.num_envs)
-        if self._blocks[0].state is None and not chosen.all():
+        starts = everyone if mask is None else require_mask("a reset mask", mask, self.num_envs)
+        if self._blocks[0].state is None and not starts.all():
             raise ValueError("the first reset() starts every environment: leave out the mask")
-        given = None if estimates is None else initial_estimates(self.layout, self.num_envs, estimates)
-        drawn = self._draw(chosen, seeds, given)
+        drawn = self._draw(
+            starts, seeds, None if estimates is None else read_estimates(self.layout, self.num_envs, estimates)
+        )
         observations = self._new_observations()
         for block, part, start in zip(self._blocks, self._slices, drawn, strict=True):
             if start is not None:  # refusals came before any block has started
                 block.begin(start)
             block.observe(observations[part])
-        self._over = self._over & ~chosen
+        self._over = self._over & ~starts
         return observations, self._first_infos()
 
     def step(self, actions: npt.NDArray[np.floating], restart: BoolArray | None = None) -> VectorStep:
@@ -151,11 +153,11 @@ class VectorParallelEnv:
 
         Args:
             actions: finite numbers of shape (B, N, action size); entries beyond the limits are clipped and counted.
-            restart: environments that start afresh in this step instead of moving, shape (B,): their actions are
-                ignored and their rewards are 0; may be over.
+            restart: whether each environment starts in this step instead of moving, shape (B,). Such an environment may
+                be over; its actions are ignored, and its rewards are 0.
 
         Raises:
-            RuntimeError: while an environment that is over, or has not started, is not in ``restart``.
+            RuntimeError: when an environment that is over, or has not started, is not in ``restart``.
             ValueError: for actions of another shape or dtype, a masked array, non-finite actions, or another kind of
                 mask; no environment is stepped.
         """
@@ -176,7 +178,7 @@ class VectorParallelEnv:
             actions = actions.astype(np.float64)
         if not np.isfinite(actions).all():  # before any block has moved
             raise ValueError("actions must be numbers without NaN or infinity")
-        drawn: Sequence[Start | None] = [None] * len(self._blocks) if restart is None else self._draw(restart)
+        drawn: Sequence[EpisodeStart | None] = [None] * len(self._blocks) if restart is None else self._draw(restart)
         observations = self._new_observations()
         outcomes = [
             block.step(actions[part], observations[part], start)
@@ -199,12 +201,12 @@ class VectorParallelEnv:
         return VectorStep(observations, rewards, terminated, truncated, infos)
 
     def _first_infos(self) -> dict[str, Any]:
-        """The infos of environments that have just started, with the keys, shapes and dtypes of :class:`VectorStep`."""
+        """Return the infos of :class:`VectorStep` for environments that have just started."""
         batch, players = self.num_envs, self.num_players
         return {
             "diverged": np.zeros(batch, dtype=np.bool_),
             "clipped": np.zeros((batch, players), dtype=np.int64),
-            "is_success": np.concatenate([block.succeeded() for block in self._blocks]),
+            "is_success": np.concatenate([block.is_success() for block in self._blocks]),
             **{name: np.zeros((batch, players)) for name in self.reward_names},
         }
 
@@ -212,22 +214,22 @@ class VectorParallelEnv:
         return np.empty((self.num_envs, self.num_players, self.layout.size), dtype=np.float32)
 
     def _draw(
-        self, chosen: BoolArray, seeds: list[int | None] | None = None, estimates: FloatArray | None = None
-    ) -> list[Start | None]:
-        """The start of the chosen environments, block by block; ``None`` for a block that has none."""
+        self, starts: BoolArray, seeds: list[int | None] | None = None, estimates: FloatArray | None = None
+    ) -> list[EpisodeStart | None]:
+        """Draw the start of environments, block by block; ``None`` for a block in which none starts."""
         return [
             block.draw(
                 None if seeds is None else seeds[part],
-                chosen[part],
-                None if estimates is None else estimates[:, :, part][:, :, chosen[part]],
+                starts[part],
+                None if estimates is None else estimates[:, :, part][:, :, starts[part]],
             )
-            if chosen[part].any()
+            if starts[part].any()
             else None
             for block, part in zip(self._blocks, self._slices, strict=True)
         ]
 
     def _by_env(self, parts: list[FloatArray]) -> FloatArray:
-        """The blocks' arrays (N, B) in one, (B, N), C-contiguous whatever the parts are."""
+        """Return the blocks' arrays (N, B) as one C-contiguous array (B, N)."""
         result = np.empty((self.num_envs, self.num_players))
         np.concatenate([part.T for part in parts], out=result)
         return result
@@ -242,4 +244,4 @@ class VectorParallelEnv:
             return [first + index for index in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise ValueError(f"{self.num_envs} environments need as many seeds, got {len(seed)}")
-        return [None if each is None else require_count("a seed", each, 0) for each in seed]
+        return [None if own is None else require_count("a seed", own, 0) for own in seed]

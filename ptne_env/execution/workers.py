@@ -90,7 +90,7 @@ def _on_processes(
     calls = (delayed(_call_with_index)(index, function, task) for index, task in enumerate(tasks))
     try:
         with ExitStack() as stack:
-            with _ctrl_c_waits():
+            with _delay_ctrl_c():
                 results = run(calls)
                 stack.callback(_end, results)  # also when Ctrl-C comes at the end of this block
             for result in results:  # noqa: UP028 - yield from would close them before _end does
@@ -133,7 +133,7 @@ def _call_with_index(index: int, function: Callable[..., Result], task: tuple[An
 
 
 @contextmanager
-def _ctrl_c_waits() -> Iterator[None]:
+def _delay_ctrl_c() -> Iterator[None]:
     """Delay Ctrl-C to the end of the block; processes that start in the block never see it, even while they import."""
     if not hasattr(signal, "pthread_sigmask"):  # on Windows
         yield

@@ -18,7 +18,7 @@ from ptne_env.report.page import Page, Section
 from ptne_env.report.traces import make_scene
 from ptne_env.shared.arrays import FloatArray, require_count
 from ptne_env.shared.files import write_atomically
-from ptne_env.shared.style import ctrl_c_waits
+from ptne_env.shared.style import delay_ctrl_c
 from ptne_env.world.dynamics import State
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
@@ -87,7 +87,7 @@ def _draw_pictures(
     renderer.reset(states[0])
     for step, state in enumerate(states):
         picture = None
-        with ctrl_c_waits():  # artists of former pictures are forgotten anywhere in it
+        with delay_ctrl_c():  # artists of former pictures are forgotten anywhere in it
             if step > 0:
                 renderer.record(state)
             if step in wanted:

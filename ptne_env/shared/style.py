@@ -12,7 +12,7 @@ from typing import Any
 COLOURS = (
     "#0072b2", "#d55e00", "#009e73", "#c46a9b", "#b58900", "#2f93cf", "#8c6bb1", "#7f7f7f", "#a0522d", "#e7298a",
 )  # fmt: skip
-"""Colours of players and policies, in turn: distinct for colour-blind readers, contrast 3:1 on white and on black."""
+"""Colours of players and policies in turn, distinct for colour-blind readers, with contrast 3:1 on white and black."""
 
 LIGHT: Mapping[str, str] = MappingProxyType(
     {
@@ -25,7 +25,7 @@ LIGHT: Mapping[str, str] = MappingProxyType(
         "accent": "#0b5cad",
     }
 )
-"""Colours of a page by role; letters have contrast 4.5:1 on ``ground`` and ``panel``. Pictures use four of them."""
+"""Colours of a page by role; letters have contrast 4.5:1 on ``ground`` and ``panel``. Pictures use them too."""
 
 DARK: Mapping[str, str] = MappingProxyType(
     {
@@ -38,7 +38,7 @@ DARK: Mapping[str, str] = MappingProxyType(
         "accent": "#7db8f2",
     }
 )
-"""The same roles for a dark page."""
+"""Colours of a dark page by role."""
 
 INK, FAINT, GRID = (LIGHT[role] for role in ("ink", "faint", "grid"))
 
@@ -63,14 +63,14 @@ _STYLE: dict[Any, Any] = {
 
 @contextmanager
 def drawing(purpose: str, changes: Mapping[Any, Any] = MappingProxyType({})) -> Iterator[None]:
-    """A context in which matplotlib draws in the style of this library.
+    """Let matplotlib draw in the style of this library in a ``with`` block.
 
-    Ctrl-C waits for its end: matplotlib turns a ``KeyboardInterrupt`` into a ``ValueError`` where it draws a path, and
-    loses it where it forgets an artist.
+    Ctrl-C waits for the end of the block, because matplotlib turns a ``KeyboardInterrupt`` into a ``ValueError`` where
+    it draws a path, and loses it where it forgets an artist.
 
     Args:
-        purpose: the name of the pictures, for the message: ``"figures"``.
-        changes: matplotlib's rcParams that differ, such as ``{"font.size": 11}``.
+        purpose: what needs matplotlib, for the message of the error, such as ``"figures"``.
+        changes: the rcParams of matplotlib that differ, such as ``{"font.size": 11}``.
 
     Raises:
         ImportError: when matplotlib is missing, naming the extra to install.
@@ -79,13 +79,13 @@ def drawing(purpose: str, changes: Mapping[Any, Any] = MappingProxyType({})) -> 
         from matplotlib import rc_context
     except ImportError as error:
         raise ImportError(f'{purpose} need matplotlib: pip install "ptne-env[bench]"') from error
-    with ctrl_c_waits(), rc_context({**_STYLE, **changes}):
+    with delay_ctrl_c(), rc_context({**_STYLE, **changes}):
         yield
 
 
 @contextmanager
-def ctrl_c_waits() -> Iterator[None]:
-    """A context whose end Ctrl-C waits for, because Python may lose it where it forgets artists of matplotlib."""
+def delay_ctrl_c() -> Iterator[None]:
+    """Delay Ctrl-C to the end of a ``with`` block, because Python may lose it where it forgets matplotlib's artists."""
     if threading.current_thread() is not threading.main_thread():  # others never see Ctrl-C
         yield
         return
