@@ -28,17 +28,17 @@ class OwnNetworks(IPPO):
     """
 
     def get_group_id(self, agent_id: str) -> str:
-        """Every agent is a group."""
+        """Return every agent as a group of its own."""
         return agent_id
 
 
 def vector(num_envs: int, **arguments: str) -> AsyncPettingZooVecEnv:
-    """The environments, each in a process; AgileRL resets one in the step that ends it."""
+    """Return the environments, each in a process; AgileRL resets one in the step that ends it."""
     return AsyncPettingZooVecEnv([partial(ptne_env.parallel_env, SCENARIO, **arguments)] * num_envs)
 
 
 def law_digits() -> np.ndarray:
-    """Digits that the law gains in the episodes of :func:`yardstick.report`."""
+    """Return the digits that the law gains in the episodes of :func:`yardstick.report`."""
     env = vector(EPISODES, **LAW)
     policy = law(ptne_env.parallel_env(SCENARIO, **LAW).layout)
     observations, _ = env.reset(seed=0)
@@ -53,7 +53,7 @@ def law_digits() -> np.ndarray:
 
 
 def train() -> tuple[float, float]:
-    """Digits before and after a training."""
+    """Return the digits before and after training."""
     env = vector(8)
     env.reset(seed=0)  # the training resets without a seed, which continues these generators
     agent = OwnNetworks(
@@ -83,7 +83,7 @@ def train() -> tuple[float, float]:
 
 
 def main() -> None:
-    """The law's digits through the vector, and a short training."""
+    """Print the law's digits through the vector and those of a short training."""
     torch.manual_seed(0)
     np.random.seed(0)  # noqa: NPY002 - AgileRL draws from it
     report(law_digits(), *train())

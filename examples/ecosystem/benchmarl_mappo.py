@@ -17,7 +17,7 @@ from ptne_env.envs.benchmarl import Actor, NashSeekingTask
 
 
 def train(task: NashSeekingTask, num_envs: int) -> tuple[float, float]:
-    """Digits before and after a short training."""
+    """Return the digits before and after a short training."""
     check_env_specs(make(task, 2))
     config = ExperimentConfig.get_from_yaml()
     config.gamma, config.lr = 0.9, 1e-3
@@ -38,12 +38,12 @@ def train(task: NashSeekingTask, num_envs: int) -> tuple[float, float]:
 
 
 def make(task: NashSeekingTask, num_envs: int) -> EnvBase:
-    """The batched environment of a task."""
+    """Return the batched environment of a task."""
     return task.get_env_fun(num_envs, True, 0, "cpu")()  # noqa: FBT003
 
 
 def main() -> None:
-    """TorchRL's check, the law's digits and a short training."""
+    """Run TorchRL's check, and print the law's digits and those of a short training."""
     task = {"scenario": SCENARIO}
     gained = law_digits(make(NashSeekingTask("law", task | LAW), EPISODES))
     report(gained, *train(NashSeekingTask("mappo", task), 8))

@@ -22,31 +22,31 @@ class Args:
     """The options of the command line."""
 
     seed: int = 0
-    """of the network, the sampling and the games"""
+    """seed of the network, the sampling and the games"""
     total_steps: int = 32_000
     """steps of training, counting every player of every environment"""
     num_envs: int = 16
-    """environments stepped together"""
+    """number of environments that are stepped together"""
     num_steps: int = 50
     """steps of every environment between updates"""
     epochs: int = 5
-    """passes over the steps between updates"""
+    """number of passes over the steps between updates"""
     minibatch: int = 500
-    """rows of a gradient step"""
+    """number of rows of a gradient step"""
     learning_rate: float = 1e-3
-    """of Adam"""
+    """learning rate of Adam"""
     gamma: float = 0.9
-    """discount"""
+    """discount factor"""
     gae_lambda: float = 0.9
-    """of generalised advantage estimation"""
+    """λ of generalised advantage estimation"""
     clip: float = 0.2
-    """of the probability ratio"""
+    """largest change of the probability ratio"""
     max_grad_norm: float = 0.5
-    """of a gradient step"""
+    """largest norm of a gradient step"""
 
 
 def parse() -> Args:
-    """The arguments from the command line."""
+    """Return the arguments from the command line."""
     parser = argparse.ArgumentParser(description="PPO in one file.")
     for field in fields(Args):
         parser.add_argument(f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default)
@@ -54,12 +54,12 @@ def parse() -> Args:
 
 
 def network(inputs: int, outputs: int) -> nn.Sequential:
-    """Two tanh layers of 64."""
+    """Return a network with two tanh layers of 64 units."""
     return nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, outputs))
 
 
 def law_digits() -> np.ndarray:
-    """The digits that the law gains in the same loop."""
+    """Return the digits that the law gains in the same loop."""
     env = VectorParallelEnv(SCENARIO, EPISODES, **LAW)
     policy, (observations, _) = law(env.layout), env.reset(seed=0)
     gained, over = np.zeros(EPISODES), np.zeros(EPISODES, dtype=bool)
@@ -71,7 +71,7 @@ def law_digits() -> np.ndarray:
 
 
 def main() -> None:
-    """The law's digits, and a short training."""
+    """Print the law's digits and those of a short training."""
     args = parse()
     torch.manual_seed(args.seed)
     torch.set_num_threads(1)

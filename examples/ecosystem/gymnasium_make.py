@@ -9,7 +9,7 @@ from yardstick import EPISODES, LAW, SCENARIO, law, report
 
 
 def main() -> None:
-    """Gymnasium's own check, and the law's digits."""
+    """Run Gymnasium's own check, and print the law's digits."""
     check_env(gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0").unwrapped, skip_render_check=True)
     env = gymnasium.make(f"ptne_env:ptne/{SCENARIO}-joint-v0", **LAW)
     layout = env.unwrapped.layout

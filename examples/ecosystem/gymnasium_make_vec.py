@@ -9,7 +9,7 @@ from yardstick import EPISODES, LAW, SCENARIO, law, report
 
 
 def main() -> None:
-    """The law's digits, through the end of the first episodes and into the second ones."""
+    """Print the law's digits, through the end of the first episodes and into the second ones."""
     envs = gymnasium.make_vec(f"ptne_env:ptne/{SCENARIO}-joint-v0", num_envs=EPISODES, **LAW)
     layout = envs.unwrapped.layout
     policy = law(layout)

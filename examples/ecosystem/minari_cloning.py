@@ -38,7 +38,7 @@ def record() -> None:
 
 
 def replay(dataset: minari.MinariDataset) -> list[float]:
-    """The digits gained in each episode, after a check that the recovered environment repeats the rewards."""
+    """Return the digits gained in each episode, after a check that the recovered environment repeats the rewards."""
     env = dataset.recover_environment()
     gained = []
     for episode in dataset.iterate_episodes():
@@ -52,7 +52,7 @@ def replay(dataset: minari.MinariDataset) -> list[float]:
 
 
 def clone(dataset: minari.MinariDataset, players: int) -> np.ndarray:
-    """The matrix of each player (N, size, action size) with which its observation is closest to the law's action."""
+    """Return each player's matrix (N, size, action size) with which observations come closest to the law's actions."""
     episodes = list(dataset.iterate_episodes())
     observations = np.concatenate([episode.observations[:-1] for episode in episodes])  # the last one has no action
     actions = np.concatenate([episode.actions for episode in episodes])
@@ -61,7 +61,7 @@ def clone(dataset: minari.MinariDataset, players: int) -> np.ndarray:
 
 
 def main() -> None:
-    """Write, load, replay, clone."""
+    """Write, load, replay and clone a dataset."""
     with TemporaryDirectory() as folder:
         os.environ["MINARI_DATASETS_PATH"] = folder
         record()

@@ -11,7 +11,7 @@ import ptne_env  # noqa: F401 - registers the environments
 
 
 def main() -> None:
-    """PettingZoo's own check, and the law's digits."""
+    """Run PettingZoo's own check, and print the law's digits."""
     env = pettingzoo.make("aec", f"ptne/{SCENARIO}-v0", **LAW)
     api_test(env, num_cycles=1000)
     policy = law(env.unwrapped.layout)

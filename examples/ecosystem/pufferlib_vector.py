@@ -20,7 +20,7 @@ Buffers = Mapping[str, np.ndarray]
 
 
 class Players(pufferlib.PufferEnv):
-    """Every player of B environments as one of B·N agents, in the arrays of the trainer."""
+    """A vector of B·N agents, the players of B environments, in the arrays of the trainer."""
 
     def __init__(self, num_envs: int, buf: Buffers | None = None, seed: int | None = None) -> None:
         self.vector, self.start = VectorParallelEnv(SCENARIO, num_envs, **LAW), seed
@@ -49,7 +49,7 @@ class Players(pufferlib.PufferEnv):
         return self.observations, self.rewards, self.terminals, self.truncations, []
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing; there is nothing to release."""
 
 
 def stepped_together(num_envs: int, workers: int) -> pufferlib.vector.Serial:
@@ -71,7 +71,7 @@ def one_at_a_time(num_envs: int) -> pufferlib.vector.Serial:
 
 
 def law_digits(vector: pufferlib.vector.Serial) -> list[float]:
-    """The digits that the law gains; ``reset(seed=0)`` starts the episodes 0, 1, …."""
+    """Return the digits that the law gains; ``reset(seed=0)`` starts the episodes 0, 1, …."""
     policy = law(LAYOUT)
     observations, _ = vector.reset(seed=0)
     gained, over = np.zeros(vector.num_agents), np.zeros(vector.num_agents, dtype=bool)
@@ -82,7 +82,7 @@ def law_digits(vector: pufferlib.vector.Serial) -> list[float]:
 
 
 def main() -> None:
-    """The law's digits, by both routes."""
+    """Print the law's digits by both routes."""
     report(law_digits(one_at_a_time(EPISODES)), what="one at a time")
     report(law_digits(stepped_together(EPISODES, workers=2)), what="stepped together")
 

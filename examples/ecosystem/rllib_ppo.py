@@ -33,7 +33,7 @@ PLAYERS = [f"player_{index}" for index in range(5)]
 
 
 class PlayerVectorEnv(gymnasium.vector.VectorEnv):
-    """Every player of B environments as one of B·N members, which start again in the step after their end."""
+    """A vector of B·N members, the players of B environments, which start again in the step after their end."""
 
     def __init__(self, num_envs: int, **arguments: str) -> None:
         self.metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}
@@ -60,18 +60,18 @@ class PlayerVectorEnv(gymnasium.vector.VectorEnv):
 
 
 def make_env(arguments: dict) -> ParallelPettingZooEnv:
-    """The environment of RLlib's runners; their processes import ``ptne_env`` through it."""
+    """Return the environment of RLlib's runners; their processes import ``ptne_env`` through it."""
     return ParallelPettingZooEnv(ptne_env.parallel_env(SCENARIO, **arguments))
 
 
 def make_players(arguments: dict) -> PlayerVectorEnv:
-    """The members of RLlib's single-agent runner, of which it counts ``num_envs``: every player is one."""
+    """Return the members of RLlib's single-agent runner, of which it counts ``num_envs``: every player is one."""
     others = {name: value for name, value in arguments.items() if name != "num_envs"}
     return PlayerVectorEnv(arguments["num_envs"] // len(PLAYERS), **others)
 
 
 def law_digits_of_players() -> list[float]:
-    """The digits that the law gains where all players of all episodes are members of one vector."""
+    """Return the digits that the law gains where all players of all episodes are members of one vector."""
     env = PlayerVectorEnv(EPISODES, **LAW)
     policy = law(env.vector.layout)
     observations, _ = env.reset(seed=0)
@@ -84,7 +84,7 @@ def law_digits_of_players() -> list[float]:
 
 
 def law_digits() -> list[float]:
-    """The digits that the law gains through the wrapper, whose dictionaries have an additional entry ``__all__``."""
+    """Return the digits that the law gains through the wrapper, whose dictionaries also have the key ``__all__``."""
     env = make_env(LAW)
     policy = law(env.par_env.layout)
     gained = []
@@ -149,7 +149,7 @@ def stepped_together(num_envs: int) -> Algorithm:
 
 
 def acting(algorithm: Algorithm) -> Acting:
-    """The means of the policy's actions."""
+    """Return the means of the policy's actions."""
     size = ptne_env.parallel_env(SCENARIO).layout.action_size
     module = algorithm.get_module("shared" if algorithm.config.is_multi_agent else DEFAULT_MODULE_ID)
 
@@ -162,7 +162,7 @@ def acting(algorithm: Algorithm) -> Acting:
 
 
 def main() -> None:
-    """RLlib's own check, the law's digits and a short training, by each of the two runners."""
+    """Run RLlib's own check, and print the law's digits and those of a short training, by each of the two runners."""
     logging.getLogger("ray").setLevel(logging.ERROR)
     check_multiagent_environments(make_env({}))
     register_env("ptne", make_env)

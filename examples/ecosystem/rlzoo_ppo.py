@@ -21,7 +21,7 @@ HYPERPARAMETERS = Path(__file__).with_name("rlzoo_hyperparameters.yml")
 
 
 def law_digits() -> np.ndarray:
-    """Digits that the law gains in the episodes of :func:`yardstick.report`, in a vector as rl_zoo3 makes it."""
+    """Return the law's digits in the episodes of :func:`yardstick.report`, in a vector as rl_zoo3 makes it."""
     env = make_vec_env(ENVIRONMENT, EPISODES, seed=0, env_kwargs=LAW)
     (layout, *_), rows = env.get_attr("layout"), env.reset()
     policy, memory, over, gained = law(layout), None, np.zeros(1), np.zeros(EPISODES)
@@ -33,7 +33,7 @@ def law_digits() -> np.ndarray:
 
 
 def act(model: BaseAlgorithm, observations: np.ndarray) -> np.ndarray:
-    """The actions without noise."""
+    """Return the actions without noise."""
     return model.predict(observations, deterministic=True)[0]
 
 

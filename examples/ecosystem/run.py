@@ -29,7 +29,7 @@ def call(*command: str | Path) -> str:
 
 
 def python_of(framework: str) -> Path:
-    """The interpreter of the framework's virtual environment, which is made if it is not there."""
+    """Return the interpreter of the framework's virtual environment, which is made if it is missing."""
     home = ROOT / ".ecosystem" / framework
     python = home / "bin" / "python"
     if not (home / "complete").exists():

@@ -58,7 +58,7 @@ def vector(num_envs: int, base_class: str, **arguments: str) -> supersuit.vector
 
 
 def law_digits() -> np.ndarray:
-    """Digits that the law gains in the episodes of :func:`yardstick.report`."""
+    """Return the digits that the law gains in the episodes of :func:`yardstick.report`."""
     layout = ptne_env.parallel_env(SCENARIO, **LAW).layout
     env, policy = vector(EPISODES, "gymnasium", **LAW), law(layout)
     observations, _ = env.reset(seed=0)

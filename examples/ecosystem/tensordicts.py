@@ -9,7 +9,7 @@ OBSERVATION, ACTION = ("player", "observation"), ("player", "action")
 
 
 def law_digits(env: EnvBase) -> list[float]:
-    """The digits that the law gains; ``reset(seed=k)`` starts episode k, and k + b in environment b of a batch."""
+    """Return the law's digits; ``reset(seed=k)`` starts episode k, and k + b in environment b of a batch."""
     policy = law(env.layout)
 
     def act(observations: torch.Tensor) -> torch.Tensor:

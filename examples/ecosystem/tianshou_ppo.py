@@ -57,11 +57,11 @@ class Players(BaseVectorEnv):
         )
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing; there is nothing to release."""
 
 
 def law_digits() -> np.ndarray:
-    """Digits that the law gains in the episodes of :func:`yardstick.report`."""
+    """Return the digits that the law gains in the episodes of :func:`yardstick.report`."""
     env = Players(EPISODES, **LAW)
     policy, (rows, _) = law(env.vector.layout), env.reset(seed=0)
     gained, memory, over = np.zeros(env.env_num), None, np.zeros(1)
@@ -84,7 +84,7 @@ def rewards_of_turns() -> np.ndarray:
 
 
 def train() -> tuple[float, float]:
-    """Digits before and after a short training."""
+    """Return the digits before and after a short training."""
     torch.manual_seed(0)
     np.random.seed(0)  # noqa: NPY002 - Tianshou draws from it
     env = Players(16)

@@ -26,7 +26,7 @@ def network(inputs: int, outputs: int) -> nn.Sequential:
 
 
 def train(env: EnvBase) -> tuple[float, float]:
-    """Digits before and after a short training."""
+    """Return the digits before and after a short training."""
     torch.manual_seed(0)
     check_env_specs(env)
     size, actions = env.layout.size, env.layout.action_size

@@ -1,4 +1,4 @@
-"""Shared by the examples of this folder: the task, the digits that they must reproduce, and the report.
+"""What the examples of this folder share: the task, the digits that they must reproduce, and the report.
 
 An episode that starts with ``reset(seed=k)`` is episode k of ``ptne_env.evaluate(..., seed=0, split="train")``. So a
 law that acts through a framework's wrapper must gain the digits of ``evaluate``, episode by episode.
@@ -23,7 +23,7 @@ LAW = {"interface": "physical"}
 
 
 def law(layout: ptne_env.ObservationLayout) -> Policy:
-    """The paper's static law."""
+    """Return the paper's static law."""
     return laws.Static(layout, kappa=2.0)
 
 
@@ -37,16 +37,16 @@ class Acting(RowPolicy):
     block = BLOCK
 
     def __init__(self, act: Callable[[np.ndarray], np.ndarray]) -> None:
-        """The function from a batch of observations to actions."""
+        """Store the function from a batch of observations to actions."""
         self.act = act
 
     def decide(self, rows: np.ndarray, memory: object, *_: object, **__: object) -> tuple[np.ndarray, object]:
-        """The actions, and the memory unchanged."""
+        """Return the actions, and the memory unchanged."""
         return self.act(rows), memory
 
 
 def digits(policy: Policy, interface: Interface = Interface()) -> float:  # noqa: B008 - it is frozen
-    """Mean digits at the deadline over 20 games outside of the training."""
+    """Return the mean digits at the deadline over 20 games outside of the training."""
     spec = PolicySpec("policy", policy, interface)
     scenario = ptne_env.get_scenario(SCENARIO)
     results = ptne_env.evaluate([spec], [scenario], episodes=20, split="validation")
@@ -54,22 +54,22 @@ def digits(policy: Policy, interface: Interface = Interface()) -> float:  # noqa
 
 
 def joint_digits(act: Callable[[np.ndarray], np.ndarray]) -> float:
-    """Mean digits at the deadline of a policy that acts for all players, over 20 games outside of the training.
+    """Return the mean digits of a policy that acts for all players, over 20 games outside of the training.
 
     Such a policy sees the observations of all players, so ``ptne_env.evaluate`` refuses it.
 
     Args:
-        act: from joint observations (1, N · size) to joint actions (1, N · action size).
+        act: a function from joint observations (1, N · size) to joint actions (1, N · action size).
     """
-    env, found = JointEnv(SCENARIO), []
+    env, reached = JointEnv(SCENARIO), []
     for seed in range(1_000_000, 1_000_020):
         (observation, _), over = env.reset(seed=seed), False
         while not over:
             observation, _, terminated, truncated, _ = env.step(act(observation[None])[0])
             over = terminated or truncated
         state = env.parallel.get_state()
-        found.append(distances.digits(distances.estimate_distance(state.estimates, state.game)).item())
-    return statistics.mean(found)
+        reached.append(distances.digits(distances.estimate_distance(state.estimates, state.game)).item())
+    return statistics.mean(reached)
 
 
 def report(
@@ -81,10 +81,10 @@ def report(
     """Print one line of JSON, which ``run.py`` collects.
 
     Args:
-        gained: digits (mean over players of the return) that the law gained through the framework's wrapper in the
+        gained: the digits (mean over players of the return) that the law gained through the framework's wrapper in the
             episodes that ``reset(seed=0)``, ``reset(seed=1)``, … started.
         before: :func:`digits` of the untrained policy.
-        after: of the trained one.
+        after: :func:`digits` of the trained policy.
         what: the route or the trained policy, where an example has several.
 
     Raises:
