@@ -201,14 +201,14 @@ def results_page(
             Section(
                 "Results",
                 "Digits are −log10 of the relative distance of all players' estimates from the equilibrium, counted up "
-                "to 12. The mean regret is what the way there costs the players. A click on a heading sorts; a shadow "
-                "at an edge tells that a table goes on there.",
+                "to 12. The mean regret is what the players lose on the way there. Click a heading to sort by it; a "
+                "shadow at an edge shows that the table continues there.",
                 (answer_table(results), regret_table(results), *([] if board is None else [board])),
             ),
             Section(
                 "Episode player",
-                "Every step of the first episode, the same for every policy. Players have the numbers of their agents: "
-                "0 is player_0.",
+                "Every step of the first episode, which is the same for every policy. Players have the numbers of "
+                "their agents: 0 is player_0.",
                 has_player=True,
             ),
             Section("Tracks", "Every metric, and the error over time. Brackets are 95 % intervals."),

@@ -20,8 +20,8 @@ FIRST_MARGIN = 0.1
 """Policies share the first place on a track if their intervals come within this many digits of the best mean."""
 
 ORACLE_NOTE = "* an oracle: it uses information that players lack, and has no rank"
-DIGITS_NOTE = "digits: at 2 the error of all estimates is 1 %, at 3 it is 0.1 %; 12 at most"
-REGRET_NOTE = "mean regret: of the way to the deadline; 1 is standing still at the start"
+DIGITS_NOTE = "digits: 2 is an error of all estimates of 1 %, 3 is an error of 0.1 %; 12 at most"
+REGRET_NOTE = "mean regret: averaged over the way to the deadline; 1 is that of standing still at the start"
 
 _SHOWN_DIFFERENCES = 10
 """Number of differences of a verification that are listed."""
@@ -196,13 +196,13 @@ def answer(results: Results) -> tuple[str, ...]:
     best = next(name for name in _rank_policies(results) if name in firsts)
     noun, count = "scenario" if results.is_comparison else "track", len(tracks)
     if len(firsts) == 1:
-        return (f"{best} was compared with nothing; --policy names others.",)
+        return (f"{best} was compared with no other policy; --policy names others.",)
     where = f"on {tracks[0]}"
     if count > 1:
         near = f"or with its interval within {FIRST_MARGIN:g} digits of the closest"
         where = f"{near}, on {len(firsts[best])} of {count} {noun}s"
     equal = [name for name in _rank_policies(results) if firsts.get(name) == firsts[best]]
-    come = "comes closest" if len(equal) == 1 else "are not told apart: they come closest"
+    come = "comes closest" if len(equal) == 1 else "cannot be told apart: they come closest"
     sentences = [f"{join_words(equal)} {come} to the Nash equilibrium by the deadline{',' * (count > 1)} {where}."]
     ends = [digits for track in tracks if LAW in (digits := _ends_of_digits(results, track))]
     gaps = [max(digits.values())[0] - digits[LAW][0] for digits in ends]
@@ -386,7 +386,7 @@ def verification_tables(verification: Verification) -> tuple[Table, Table]:
     if (hidden := len(verification.differences) - _SHOWN_DIFFERENCES) > 0:
         shown.append(("differs", f"{hidden} more numbers or texts"))
     rebuilt = text_table(
-        "Tables that were rebuilt from the samples",
+        "Tables rebuilt from the samples",
         "",
         ("verdict", ""),
         ((str(index), *texts) for index, texts in enumerate(shown or [("agree", "every number follows")], 1)),

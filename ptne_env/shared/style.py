@@ -14,30 +14,16 @@ COLOURS = (
 )  # fmt: skip
 """Colours of players and policies in turn, distinct for colour-blind readers, with contrast 3:1 on white and black."""
 
-LIGHT: Mapping[str, str] = MappingProxyType(
-    {
-        "ground": "#ffffff",
-        "panel": "#f6f7f9",
-        "ink": "#1a1d21",
-        "faint": "#5b6470",
-        "line": "#d5dae1",
-        "grid": "#e4e8ed",
-        "accent": "#0b5cad",
-    }
-)
+LIGHT: Mapping[str, str] = MappingProxyType({
+    "ground": "#ffffff", "panel": "#f6f7f9", "ink": "#1a1d21", "faint": "#5b6470", "line": "#d5dae1",
+    "grid": "#e4e8ed", "accent": "#0b5cad",
+})  # fmt: skip
 """Colours of a page by role; letters have contrast 4.5:1 on ``ground`` and ``panel``. Pictures use them too."""
 
-DARK: Mapping[str, str] = MappingProxyType(
-    {
-        "ground": "#14171b",
-        "panel": "#1d2126",
-        "ink": "#e8eaed",
-        "faint": "#a3adb9",
-        "line": "#3a424c",
-        "grid": "#2b3138",
-        "accent": "#7db8f2",
-    }
-)
+DARK: Mapping[str, str] = MappingProxyType({
+    "ground": "#14171b", "panel": "#1d2126", "ink": "#e8eaed", "faint": "#a3adb9", "line": "#3a424c",
+    "grid": "#2b3138", "accent": "#7db8f2",
+})  # fmt: skip
 """Colours of a dark page by role."""
 
 INK, FAINT, GRID = (LIGHT[role] for role in ("ink", "faint", "grid"))

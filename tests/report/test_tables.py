@@ -105,7 +105,7 @@ def test_the_answer_names_the_closest_policy_and_the_distance_of_the_papers_law(
     [
         (["static", "zero-input"], ["static comes closest to the Nash equilibrium by the deadline on energy."]),
         (["oracle"], ["No policy without an oracle's information has a result."]),
-        (["zero-input"], ["zero-input was compared with nothing; --policy names others."]),
+        (["zero-input"], ["zero-input was compared with no other policy; --policy names others."]),
     ],
 )
 def test_the_answer_of_few_policies(names, expected):
@@ -116,7 +116,7 @@ def test_first_places_are_shared_within_a_tenth_of_a_digit():
     again = replace(get_policy_spec("grounded"), name="again")
     results = evaluate(["zero-input", again, "grounded", "oracle"], ["energy"], episodes=2)
     assert first_places(results) == {"zero-input": [], "again": ["energy"], "grounded": ["energy"]}
-    assert answer(results)[0].startswith("again and grounded are not told apart: they come closest")
+    assert answer(results)[0].startswith("again and grounded cannot be told apart: they come closest")
 
 
 def test_tables_of_a_track_hold_the_metrics_that_have_values(comparison):
