@@ -37,13 +37,10 @@ def _mean(values: FloatArray) -> FloatArray:
 
 def _join_players(infos: dict[str, Any]) -> dict[str, Any]:
     """Return infos of players, the last axis, as those of one agent: clipped entries are summed, rewards averaged."""
-    joint = {}
-    for name, values in infos.items():
-        if name in _FLAGS:
-            joint[name] = values
-        else:
-            joint[name] = values.sum(axis=-1) if name == "clipped" else _mean(values)
-    return joint
+    return {
+        name: values if name in _FLAGS else values.sum(axis=-1) if name == "clipped" else _mean(values)
+        for name, values in infos.items()
+    }
 
 
 def _joint_info(infos: dict[str, dict[str, Any]]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from ptne_env.evaluation.statistics import estimate
 from ptne_env.learn.policy_files import DATA
 from ptne_env.shared.arrays import FloatArray, require_count
 from ptne_env.shared.parts import foreign_targets
-from ptne_env.suites.suite import LAW, ORACLE, SUITES, ZERO, get_suite
+from ptne_env.suites.suite import REFERENCES, SUITES, get_suite
 
 SAMPLE = 2
 """Number of jobs of every policy that run again; one of a reference policy."""
@@ -142,12 +142,12 @@ def _differences_of_rules(results: Results, data: Mapping[str, Any]) -> Iterator
         hashes = [[seed.get("sha256") for seed in policy["training_seeds"]] for policy in (spec.to_dict(), published)]
         if hashes[0] != hashes[1]:
             yield f"the files of policy {spec.name} are not those that were run"
-        if spec.name in (ZERO, LAW, ORACLE) and spec != POLICIES[spec.name]:
+        if spec.name in REFERENCES and spec != POLICIES[spec.name]:
             yield f"policy {spec.name} is not the reference policy of this name"
     if results.target is None or results.target not in SUITES:
         return
     suite = get_suite(results.target)
-    for name in {reference.name for reference in suite.references} - results.policies.keys():
+    for name in set(REFERENCES) - results.policies.keys():
         yield f"the reference policy {name} is missing"
     for track in results.tracks:
         count = results.episodes[track.name]
@@ -208,7 +208,7 @@ def _sample_jobs(results: Results, sample: int, generator: np.random.Generator) 
             for track in results.tracks
             for training_seed in range(len(spec.training_seeds))
         ]
-        count = 1 if spec.name in (ZERO, LAW, ORACLE) else sample
+        count = 1 if spec.name in REFERENCES else sample
         sampled += [jobs[index] for index in sorted(generator.permutation(len(jobs))[:count])]
         total += len(jobs)
     return sampled, total

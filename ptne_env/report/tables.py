@@ -61,11 +61,6 @@ class Cell:
         half, text = _two_decimals(summary.high - summary.mean), _two_decimals(summary.mean)
         return cls(text if half == "0.00" else f"{text} ±{half}", summary.mean)
 
-    @classmethod
-    def plain(cls, summary: Summary | None) -> Cell:
-        """Return the cell of a mean without its interval."""
-        return cls.of(None if summary is None else summary.mean)
-
 
 def _two_decimals(value: float) -> str:
     return f"{value:.2f}".replace("-0.00", "0.00").replace("-", "−")
@@ -155,7 +150,7 @@ def answer_table(results: Results) -> Table:
         cells |= {track: Cell("failed") for track, policy in results.failures if policy == name}
         if name in means:
             digits, regret = means[name]
-            cells |= {score: Cell.plus_minus(digits), MEAN_REGRET: Cell.plain(regret)}
+            cells |= {score: Cell.plus_minus(digits), MEAN_REGRET: Cell.of(regret.mean)}
         columns.append(Column(_mark_oracle(results, name), cells, f"digits of {name}"))
     counts = sorted({results.episodes[track] for track in tracks})
     episodes = " to ".join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))
@@ -179,7 +174,11 @@ def regret_table(results: Results) -> Table:
     columns = (
         Column(
             _mark_oracle(results, name),
-            {track: Cell.plain(results.summary(track, name, "mean_regret")) for track in tracks},
+            {
+                track: Cell.of(regret.mean)
+                for track in tracks
+                if (regret := results.summary(track, name, "mean_regret")) is not None
+            },
             f"mean regret of {name}",
         )
         for name in order_policies(results)

@@ -20,7 +20,7 @@ from ptne_env.shared.parts import resolve
 from ptne_env.world.catalogue import CATALOGUE, get_scenario
 from ptne_env.world.scenario import Scenario
 
-ZERO, LAW, ORACLE = "zero-input", "static", "oracle"
+ZERO, LAW, ORACLE = REFERENCES = "zero-input", "static", "oracle"
 """The reference policies that every run of a suite includes: zero input with score 0, the paper's law, an oracle."""
 
 EPISODES = 200
@@ -50,11 +50,6 @@ class Suite:
         names = [track.name for track in self.tracks]
         if not names or len(set(names)) < len(names):
             raise ValueError(f"a suite needs tracks with different names, got {names}")
-
-    @property
-    def references(self) -> tuple[PolicySpec, ...]:
-        """The reference policies, which every run includes."""
-        return tuple(POLICIES[name] for name in (ZERO, LAW, ORACLE))
 
     def track(self, name: str) -> Track:
         """Return a track by name.
@@ -168,14 +163,14 @@ def run_suite(
     names = [track.name for track in suite.tracks] if tracks is None else list(dict.fromkeys(as_list(tracks)))
     sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
     specs = [get_policy_spec(policy) for policy in as_list(policies)]
-    for reference in suite.references:
-        same = [spec for spec in specs if spec.name == reference.name]
-        if any(spec != reference for spec in same):
-            raise ValueError(f"{reference.name!r} is the name of a reference policy: give your policy another name")
-        specs += [] if same else [reference]
+    for name in REFERENCES:
+        same = [spec for spec in specs if spec.name == name]
+        if any(spec != POLICIES[name] for spec in same):
+            raise ValueError(f"{name!r} is the name of a reference policy: give your policy another name")
+        specs += [] if same else [POLICIES[name]]
     results = compare(suite.name, [suite.track(name) for name in names], specs, sets, run, target)
     for (track, policy), reason in results.failures.items():
-        if policy in {reference.name for reference in suite.references}:
+        if policy in REFERENCES:
             raise RuntimeError(f"the reference policy {policy!r} fails on track {track!r}: {reason}")
     return results
 
