@@ -99,6 +99,7 @@ class World:
             hold_steps=scenario.hold_steps,
         )
         self.game_family: Game | GameFamily = self._build(scenario.game, Game, GameFamily)
+        self.game = self.game_family.representative
         links: Graph | SwitchingTopology = self._build(scenario.topology, SwitchingTopology, Graph)
         self.topology = fixed(links) if isinstance(links, Graph) else links
         self.start: Start = self._build(scenario.start, Start)
@@ -122,11 +123,6 @@ class World:
                 "raise s_end to come closer",
                 stacklevel=2,
             )
-
-    @property
-    def game(self) -> Game:
-        """The game, or a typical member of the family."""
-        return self.game_family.representative
 
     @property
     def slots(self) -> int:
