@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpy.typing as npt
 
 from ptne_env.jax.environment import JaxWorld
-from ptne_env.laws.adaptive import adaptive_inputs
+from ptne_env.laws.adaptive import Adaptive, adaptive_inputs
 from ptne_env.laws.grounded import grounded_inputs
 from ptne_env.laws.static import static_inputs
 from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout, row_of
@@ -149,13 +150,17 @@ def static(layout: ObservationLayout, kappa: float = 2.0, gradient_gain: float =
     return _law(layout, act, {"kappa": kappa, "gradient_gain": gradient_gain})
 
 
-def adaptive(layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> JaxPolicy:
-    """The law :class:`ptne_env.laws.Adaptive`; its parameter is γ, and its memory are the gains of its links."""
+def adaptive(layout: ObservationLayout, gamma: npt.ArrayLike = 0.01, initial_gain: npt.ArrayLike = 0.5) -> JaxPolicy:
+    """The law :class:`ptne_env.laws.Adaptive`; its parameters are γ, or γ_ij as rows of players, and such κ_ij(0)."""
+    law = Adaptive(layout, gamma, initial_gain)
 
-    def act(params: Any, observation: jax.Array, gains: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return adaptive_inputs(layout.read(observation), gains, **params)
+    def act(params: Any, observation: jax.Array, memory: jax.Array) -> tuple[jax.Array, jax.Array]:
+        seen = layout.read(observation)
+        own = {name: jnp.asarray(rows)[seen.player] if np.ndim(rows) else rows for name, rows in params.items()}
+        return adaptive_inputs(seen, memory, **own)
 
-    return _law(layout, act, {"gamma": gamma}, np.full(layout.slots, initial_gain))
+    params = {"gamma": law.gamma} | ({"initial_gain": law.initial_gain} if law.initial_gain.ndim else {})
+    return _law(layout, act, params, law.initial_memory(1)[0])
 
 
 def grounded(layout: ObservationLayout, kappa: float = 2.0) -> JaxPolicy:

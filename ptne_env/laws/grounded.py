@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.laws.adaptive import AdaptiveLaw
 from ptne_env.laws.base import Law, consensus
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, array_namespace, require_non_negative
@@ -58,7 +57,7 @@ class Grounded(Law):
         return grounded_inputs(observation, own, leaders, self.kappa), memory
 
 
-class AdaptiveGrounded(AdaptiveLaw):
+class AdaptiveGrounded(Law):
     """Ye and Hu's law with adaptive gains, in effective time: the node-based law.
 
     u^i_i = −∂J_i/∂x_i(x^i), and for j ≠ i, u^i_j = −θ_ij ξ^i_j and dθ_ij/dτ = γ ‖ξ^i_j‖². M. Ye and G. Hu, "Adaptive
@@ -66,7 +65,20 @@ class AdaptiveGrounded(AdaptiveLaw):
     the gains of its own consensus errors, so no gain must be known. (The edge-based law of that paper is of the kind of
     :class:`~ptne_env.laws.Adaptive`.) The memory is θ_ij, one gain per component, shape (R, n), in natural units, and
     takes an Euler step of Θ_k.
+
+    Args:
+        layout: the layout of the environment.
+        gamma: γ ≥ 0, the rate of adaptation.
+        initial_gain: every gain at t = 0, ≥ 0.
+
+    Raises:
+        ValueError: for a negative number.
     """
+
+    def __init__(self, layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> None:
+        super().__init__(layout)
+        self.gamma = require_non_negative("gamma", gamma)
+        self.initial_gain = require_non_negative("initial_gain", initial_gain)
 
     def initial_memory(self, rows: int) -> FloatArray:
         """Return θ_ij(0) per component, shape (R, n)."""

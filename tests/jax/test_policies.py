@@ -25,6 +25,8 @@ from ptne_env.world import dynamics
 SCENARIO = "random-energy-switching-transformed"
 UNEVEN = get_suite("ptne-v1").track("uneven-box").scenario
 LAWS = {"static": laws.Static, "adaptive": laws.Adaptive, "grounded": laws.Grounded}
+GAINS = 0.1 + np.add.outer(np.arange(5), np.arange(5)) / 10
+"""A symmetric table, a gain per link."""
 
 
 def start(world, count=3):
@@ -32,13 +34,15 @@ def start(world, count=3):
     return dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(count)])
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize(
+    ("name", "arguments"), [*((name, {}) for name in LAWS), ("adaptive", {"gamma": GAINS / 50, "initial_gain": GAINS})]
+)
 @pytest.mark.parametrize("scenario", [SCENARIO, UNEVEN], ids=["energy", "uneven"])
-def test_a_law_has_the_digits_of_the_law_on_numpy(name, scenario):
+def test_a_law_has_the_digits_of_the_law_on_numpy(name, arguments, scenario):
     world = ptne_env.jax.JaxWorld(scenario, interface="physical", pool=3)
-    state, policy = start(world), getattr(ptne_env.jax, name)(world.layout)
+    state, policy = start(world), getattr(ptne_env.jax, name)(world.layout, **arguments)
     found = jax.jit(lambda: ptne_env.jax.rollout(world, policy, world.state(state)))()
-    expected = rollout(LAWS[name](world.layout), Encoder(world.numpy, world.layout.interface), state)
+    expected = rollout(LAWS[name](world.layout, **arguments), Encoder(world.numpy, world.layout.interface), state)
     np.testing.assert_allclose(found.digits, -np.log10(expected["estimate_distance"][1:]), atol=1e-4)
     mean = expected["mean_digits"]
     np.testing.assert_allclose(found.rewards.sum(0).mean(0), mean[-1] - mean[0], atol=1e-4)
