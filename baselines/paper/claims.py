@@ -186,7 +186,7 @@ def theorem_4(experiments: Experiments) -> Iterator[Claim]:
         "dwelling in s, another game": experiments.counterexamples["five players"],
     }
     for name, run in runs.items():
-        dwell, unit = run.topology.dwells[0], "s in t" if run.topology.clock == "physical" else "in s"
+        dwell, unit = run.topology.mode_dwells[0], "s in t" if run.topology.clock == "physical" else "in s"
         yield _adaptive_claim(f"Theorem 4, {name}", f"{statement}; the topology dwells {dwell:g} {unit}", run)
 
 

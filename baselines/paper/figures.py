@@ -194,7 +194,7 @@ def _comparison(figure: Figure, experiments: Experiments) -> None:
 
 def _switching_graphs(figure: Figure, experiments: Experiments) -> None:
     topology = experiments.switching["physical"].topology
-    period, dwell = topology.period, topology.dwells[0]
+    period, dwell = topology.period, topology.mode_dwells[0]
     for m, (axes, graph) in enumerate(zip(figure.subplots(1, 4), topology.graphs, strict=True)):
         _draw_network(axes, graph, topology.union)
         interval = f"[{m * dwell:.1f}, {(m + 1) * dwell:.1f})"

@@ -22,7 +22,7 @@ from ptne_env.world.catalogue import get_scenario
 from ptne_env.world.dynamics import State
 from ptne_env.world.rewards import Reward
 from ptne_env.world.scenario import Scenario
-from ptne_env.world.world import RANGE_LIMIT, World
+from ptne_env.world.world import World
 
 
 class StepResult(NamedTuple):
@@ -226,8 +226,6 @@ class Simulation:
         if estimates is not None:  # they may be refused, and then nothing has been drawn
             streams = copy.deepcopy(streams)
         fresh = dynamics.draw_initial_state(self.world, [streams[index] for index in starting], estimates)
-        if fresh.any_diverged:
-            raise ValueError(f"own gradients at the initial estimates must be within ±{RANGE_LIMIT:g}: start closer")
         return EpisodeStart(streams, fresh, mask)
 
     def begin(self, start: EpisodeStart) -> None:

@@ -56,7 +56,7 @@ def estimate(scores: Scores) -> Summary:
     variance = sum(part for part, _ in parts)
     if variance == 0:
         return Summary(middle, middle, middle)
-    freedom = variance**2 / sum(part**2 / count for part, count in parts if count)
+    freedom = 1 / sum((part / variance) ** 2 / count for part, count in parts if count)  # squares may underflow
     half = float(special.stdtrit(freedom, (1 + CONFIDENCE) / 2) * np.sqrt(variance))
     return Summary(middle, middle - half, middle + half)
 

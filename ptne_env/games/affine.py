@@ -149,6 +149,9 @@ class AffineGame(Game):
         blocks = np.broadcast_to(self._own_blocks, (*self._own_blocks.shape[:2], strategies.shape[1]))
         return solve_box(lambda x: times(blocks, x) + pressure, lambda _: blocks, *self.box, response)
 
+    def _require_minima(self, points: FloatArray) -> None:
+        """Check nothing: costs are convex by construction."""
+
     def _solve_nash_equilibria(self) -> FloatArray:
         if self.has_bounds:
             return super()._solve_nash_equilibria()

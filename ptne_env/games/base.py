@@ -241,17 +241,22 @@ class Game(Part, ABC):
 
     @cached_property
     def nash_equilibria(self) -> FloatArray:
-        """x* with F(x*) = 0, or x* = Π(x* − F(x*)) in a box, of every game; verified. Shape (n, G), read-only.
+        """x* with F(x*) = 0, or x* = Π(x* − F(x*)) in a box, of every game, shape (n, G), read-only.
+
+        It is verified that no cost falls near it, to the second order in the own strategy. Where costs are not convex,
+        that does not exclude a better strategy far away.
 
         Raises:
-            ArithmeticError: when the solver's point is not an equilibrium to 1e-10.
+            ArithmeticError: when the solver's point is not an equilibrium to 1e-10, or no minimum of a player's cost.
         """
         return self._verified(self._solve_nash_equilibria())
 
     @cached_property
     def held_at_equilibrium(self) -> BoolArray:
         """Whether a bound holds each component of x* against F; shape (n, G). All False without a box."""
-        points = self.nash_equilibria
+        return self._held(self.nash_equilibria)
+
+    def _held(self, points: FloatArray) -> BoolArray:
         if self.box is None:
             return np.zeros(points.shape, dtype=np.bool_)
         unbounded, (low, high) = points - self.pseudo_gradient(points), self.box
@@ -260,10 +265,10 @@ class Game(Part, ABC):
 
     @cached_property
     def equilibrium_scale(self) -> FloatArray:
-        """‖x*‖ of every game, by which distances are relative; 1 where x* = 0. Shape (G,), read-only."""
+        """‖x*‖ of every game, by which distances are relative; 1 where solvers cannot tell it from 0. Shape (G,)."""
         xp = array_namespace(self.nash_equilibria)
         norms = xp.sqrt(ordered_sum(self.nash_equilibria**2))
-        return freeze(xp.where(norms == 0, 1.0, norms))
+        return freeze(xp.where(norms <= RESIDUAL_TOLERANCE, 1.0, norms))
 
     @property
     def nash_equilibrium(self) -> FloatArray:
@@ -287,7 +292,24 @@ class Game(Part, ABC):
                 f"{'‖x − Π(x − F(x))‖' if self.has_bounds else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
                 "was found"
             )
+        self._require_minima(points)
         return freeze(points)
+
+    def _require_minima(self, points: FloatArray) -> None:
+        """Check that ∂²J_i/∂x_i² has no negative curvature at points (n, G), in components that no bound holds."""
+        with np.errstate(all="ignore"):  # F need not exist beyond a bound
+            slopes = np.moveaxis(np.nan_to_num(self.jacobian(points), posinf=0.0, neginf=0.0), 2, 0)
+        free = ~self._held(points).T
+        slopes = slopes * free[:, :, None] * free[:, None]
+        for player in range(self.num_players):
+            own = self.owners == player
+            hessians = slopes[:, own][:, :, own]
+            smallest = float(np.linalg.eigvalsh((hessians + hessians.transpose(0, 2, 1)) / 2).min())
+            if smallest < -1e-6 * np.abs(hessians).max():
+                raise ArithmeticError(
+                    f"{type(self).__name__}: F vanishes at the point found, but the cost of player {player} has the "
+                    f"curvature {smallest:.3g} there, so it is no minimum and no Nash equilibrium"
+                )
 
     def _solve_nash_equilibria(self) -> FloatArray:
         """Find a zero of F, (n, 1), with ``scipy.optimize.root``, or solve the variational inequality on the box.

@@ -81,12 +81,15 @@ class Exponential(TimeTransformation):
         return np.asarray(-np.log1p(-np.asarray(t, dtype=np.float64) / self.deadline))
 
     def from_effective_time(self, tau: npt.ArrayLike, constant: float) -> FloatArray:
-        """τ − C + ω(ln C + C − τ) with C = cT and Wright's ω."""
+        """τ − C + ω(ln C + C − τ) with C = cT and Wright's ω, and a step of Newton where C cancels most digits."""
         times = np.asarray(tau, dtype=np.float64)
         scale = constant * self.deadline
         if scale == 0:
             return times.copy()
-        return np.maximum(times - scale + scipy.special.wrightomega(np.log(scale) + scale - times), 0.0)
+        s = times - scale + scipy.special.wrightomega(np.log(scale) + scale - times)
+        if scale > 100:
+            s = s - (self.effective_time(s, constant) - times) / (1 + constant * self.derivative(s))
+        return np.maximum(s, 0.0)
 
 
 class Rational(TimeTransformation):
@@ -176,10 +179,15 @@ class StepClock:
         s = self._grid()
         t = transformation.time(s)
         self.time_reached = float(t[-1])
-        if not (self.time_reached < deadline and np.all(np.diff(t) > 0)):
+        if not self.time_reached < deadline:
             raise ValueError(
                 f"s_end = {s_end} is too long: float64 cannot tell T − t from 0 there; shorten it (36 is the limit of "
                 "the exponential transformation)"
+            )
+        if not np.all(np.diff(t) > 0):
+            raise ValueError(
+                f"steps = {steps} up to s_end = {s_end} are too short near the deadline: float64 cannot tell t from "
+                "the t of the next step; use fewer steps or a shorter s_end"
             )
         dt = np.diff(t)
         theta = np.diff(s) + self.gain * dt

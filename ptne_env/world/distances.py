@@ -1,6 +1,6 @@
 """Relative distances to the equilibrium, which rewards, the success criterion and metrics share.
 
-Where x* = 0 the scale is 1 instead of ‖x*‖.
+Where x* = 0, within the tolerance of solvers, the scale is 1 instead of ‖x*‖.
 """
 
 from __future__ import annotations

@@ -102,7 +102,8 @@ def initial_state(
         randomness: the remaining draws of B episodes; needed where :meth:`World.draw_randomness` draws any.
 
     Raises:
-        ValueError: when a shape is wrong, an estimate is not finite or outside the range, or a draw is missing.
+        ValueError: when a shape is wrong, an estimate or own gradient is not finite or outside the range, or a draw is
+            missing.
     """
     name, expected = world.scenario.name, (world.game.dimension, world.game.num_players)
     if estimates.ndim != 3 or estimates.shape[:2] != expected:
@@ -123,7 +124,10 @@ def initial_state(
         )
     # A copy, so that the caller cannot change the state. It is C-contiguous, as drawn estimates are: the last bits of
     # sums depend on the order in memory.
-    return begin(world, np.array(estimates, dtype=np.float64, order="C"), game, randomness)
+    state = begin(world, np.array(estimates, dtype=np.float64, order="C"), game, randomness)
+    if state.any_diverged:
+        raise ValueError(f"own gradients at the initial estimates must be within ±{RANGE_LIMIT:g}: start closer")
+    return state
 
 
 def begin(world: World, estimates: FloatArray, game: Game, randomness: EpisodeRandomness | None) -> State:

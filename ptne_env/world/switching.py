@@ -92,7 +92,7 @@ class SwitchingTopology(Part):
 
     @property
     def is_jointly_connected(self) -> bool:
-        """Assumption 2 of the paper (Assumption 1 when fixed); of a random topology with probability 1."""
+        """Assumption 2 of the paper (Assumption 1 when fixed); of a random topology over all time, almost surely."""
         return self.union.is_connected
 
     @property

@@ -7,7 +7,7 @@ import pytest
 from small_suite import BASE, COMPLETE, untimed
 
 import ptne_env
-from ptne_env import FactorySpec, PolicySpec, evaluate, laws
+from ptne_env import FactorySpec, PolicySpec, Scenario, evaluate, laws
 from ptne_env.envs.gymnasium import JointEnv
 from ptne_env.evaluation import COMPARED, POLICIES, Track, get_policy_spec
 from ptne_env.perception.observation import LayoutError
@@ -69,6 +69,30 @@ def test_every_default_law_acts_in_every_game_of_the_catalogue():
     assert not results.failures
     assert not results.not_applicable
     assert len(results.samples) == len(policies) * len(scenarios)
+
+
+def test_every_default_law_stands_where_the_equilibrium_is_zero():
+    """Regrets fall to 1e-90, and the square of their variance is 0."""
+    scenario = Scenario(
+        name="zero",
+        game=FactorySpec.of("game:quadratic", matrix=[[2.0, 0.5], [0.5, 2.0]], offset=[0.0, 0.0]),
+        topology=FactorySpec.of("topology:path", players=2),
+        start="random",
+    )
+    policies = {"contact-relay", *(name for name in COMPARED if not name.startswith("ppo-"))}
+    results = evaluate(policies, scenario, episodes=3)
+    assert not results.failures
+    assert results.record("zero", "contact-relay", "regret")["high"] < 1e-85
+    json.loads(results.to_json())
+
+
+def test_a_start_that_an_environment_refuses_is_refused_in_the_same_words():
+    scenario = BASE.replace(start=FactorySpec.of("start:uniform", low=4e5, high=5e5))
+    for start in (lambda: evaluate("static", scenario, episodes=1), ptne_env.parallel_env(scenario).reset):
+        with pytest.raises(
+            ValueError, match="own gradients at the initial estimates must be within ±500000: start clos"
+        ):
+            start()
 
 
 def test_a_comparison_takes_tracks_and_runs_the_jobs_by_what_it_is_given():

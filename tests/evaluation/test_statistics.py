@@ -15,6 +15,11 @@ def test_a_constant_sample_has_low_equal_high_equal_mean_exactly():
     assert (summary.mean, summary.low, summary.high) == (value, value, value)
 
 
+def test_an_interval_of_numbers_whose_squares_underflow_is_in_proportion():
+    plain, tiny = estimate([np.array([[1.0, 2.0, 3.0]])]), estimate([np.array([[1e-90, 2e-90, 3e-90]])])
+    assert (tiny.mean, tiny.low, tiny.high) == pytest.approx((2e-90, 1e-90 * plain.low, 1e-90 * plain.high), rel=1e-12)
+
+
 def test_a_metric_without_any_value_has_none():
     summary = estimate([np.full((2, 4), np.nan)])
     assert (summary.mean, summary.low, summary.high) == (None, None, None)

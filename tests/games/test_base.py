@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from sample_games import BlockGame, CubicGame
 
-from ptne_env.games import EnergyGame, Game, NoBestResponseError, NonQuadraticGame
+from ptne_env.games import EnergyGame, Game, NoBestResponseError, NonQuadraticGame, QuadraticGame
 
 
 @pytest.mark.parametrize("game", [EnergyGame(), NonQuadraticGame(), BlockGame()], ids=lambda game: type(game).__name__)
@@ -49,6 +49,53 @@ def test_blocks_and_owners_follow_the_dimensions():
 def test_bad_dimensions_are_refused(dims):
     with pytest.raises(ValueError, match="at least"):
         BlockGame(dims)
+
+
+class Peaks(Game):
+    """J_1 = x1²/2 and J_2 = cos x2, which has a maximum at 0, where F vanishes."""
+
+    action_dims = (1, 1)
+
+    def costs(self, strategies):
+        return np.stack([strategies[0] ** 2 / 2, np.cos(strategies[1])])
+
+    def own_gradients(self, estimates):
+        return np.stack([estimates[0, 0], -np.sin(estimates[1, 1])])
+
+    def best_response(self, strategies):
+        raise NoBestResponseError("no minimum")
+
+
+def test_a_maximum_of_a_cost_is_no_equilibrium():
+    with pytest.raises(ArithmeticError, match="cost of player 1 has the curvature -1 there.*no Nash equilibrium"):
+        Peaks().nash_equilibrium  # noqa: B018 - the property raises
+    assert HeldPeaks().nash_equilibrium == pytest.approx([0.0, 1.5])  # a bound holds player 1
+
+
+class HeldPeaks(Peaks):
+    """In a box in which J_2 falls towards a bound."""
+
+    low, high = (-1.0, 0.5), (1.0, 1.5)
+
+
+class Hardening(Game):
+    """F_i = x_i + x_i³, solved in a box around 0 to about 1e-26."""
+
+    action_dims, low, high = (1, 1), -1.0, 2.0
+
+    def costs(self, strategies):
+        return strategies**2 / 2 + strategies**4 / 4
+
+    def own_gradients(self, estimates):
+        own = np.stack([estimates[0, 0], estimates[1, 1]])
+        return own + own**3
+
+
+def test_an_equilibrium_at_zero_has_the_scale_1_also_where_it_is_rounded():
+    game = Hardening()
+    assert 0 < np.abs(game.nash_equilibrium).max() < 1e-15
+    assert game.equilibrium_scale.tolist() == [1.0]
+    assert QuadraticGame(np.eye(2), [1e-6, 0.0]).equilibrium_scale == pytest.approx([1e-6])
 
 
 class Vanishing(Game):

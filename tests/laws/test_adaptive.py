@@ -63,7 +63,7 @@ def test_gains_of_links_follow_the_equations_of_theorem_3():
         weights = world.topology.graphs[world.modes[step]].adjacency
         u = np.zeros((5, 5))
         for i in range(5):
-            u[i, i] = -(2 * (x[i, i] - world.game.target[i, 0]) + 0.1 * x[i].sum() + 10 + 0.1 * x[i, i])
+            u[i, i] = -(2 * (x[i, i] - world.game.target[i]) + 0.1 * x[i].sum() + 10 + 0.1 * x[i, i])
             for j in range(5):
                 u[i] -= kappa[i, j] * weights[i, j] * (x[i] - x[j])
         growth = gamma * weights * ((x[:, None] - x) ** 2).sum(axis=2)

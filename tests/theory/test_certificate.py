@@ -279,6 +279,14 @@ def test_notes_name_what_the_numbers_leave_out(changes, phrase, exact):
     assert certificate.digits is not None
 
 
+def test_the_rational_transformation_leaves_every_velocity_bounded():
+    """Its gain grows like s², and an error that decays like e^{−r s} outweighs it for every r > 0."""
+    rational = get_scenario("energy", transformation="transformation:rational", s_end=200.0, steps=4000)
+    certificate = theory.certify(rational, FactorySpec.of("law:static", kappa=0.01))
+    assert 0 < certificate.rate < 0.0138  # the mean slope of ln 1/λ' from s = 100 to 200
+    assert not any("velocity" in note for note in certificate.notes)
+
+
 def test_a_short_horizon_is_noted():
     with pytest.warns(UserWarning, match="short of the deadline"):
         certificate = theory.certify(get_scenario("energy", s_end=3.0))

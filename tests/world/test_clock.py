@@ -1,3 +1,5 @@
+from decimal import Decimal, localcontext
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -117,6 +119,24 @@ def test_default_episode_stops_0_03_percent_short_of_the_deadline():
 def test_without_constant_gain_theta_is_the_transformed_step():
     clock = StepClock(Exponential(1.2), gain=0.0, steps=10, s_end=5.0)
     assert clock.theta[:-1] == pytest.approx(np.full(10, 0.5))
+
+
+def precise_inverse(tau, scale):
+    """The s with s + C (1 − e^{−s}) = τ, bisected with 50 digits."""
+    with localcontext(prec=50):
+        low, high = Decimal(0), Decimal(tau)
+        for _ in range(170):
+            middle = (low + high) / 2
+            is_low = middle + Decimal(scale) * (1 - (-middle).exp()) < Decimal(tau)
+            low, high = (middle, high) if is_low else (low, middle)
+        return float(low)
+
+
+@pytest.mark.parametrize("gain", [120.0, 1e6, 1e8])
+def test_the_inverse_of_effective_time_keeps_its_digits_where_the_gain_is_large(gain):
+    tau = gain * np.array([1e-6, 1e-3, 0.1, 0.5, 0.9])
+    found = Exponential(1.0).from_effective_time(tau, gain)
+    assert found == pytest.approx([precise_inverse(value, gain) for value in tau.tolist()], rel=1e-13)
 
 
 def test_a_step_with_the_input_held_solves_the_differential_equation():

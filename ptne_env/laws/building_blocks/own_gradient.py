@@ -101,7 +101,7 @@ def identify(
     failed = (surprise > 0) & (length > _REST)
     forgotten = np.where(failed, surprise, 0.0) / np.maximum(length, _REST) ** 2
     spread = spread + forgotten * length * displacement
-    gain = spread / (known + forgotten * length**2 + variance)
+    gain = spread / np.maximum(known + forgotten * length**2 + variance, 1e-300)
     rows = rows + error[:, :, None] * gain[:, None, :]
     smaller = spread[:, :, None] * gain[:, None, :]
     np.subtract(covariance, smaller, out=smaller)
