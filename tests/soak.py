@@ -1,16 +1,18 @@
 """Assertions over many random episodes: ``python tests/soak.py [--episodes E] [--each N] [--world W]``.
 
 Every world is one session of fuzz.py and has a number: ``--world W`` plays that world alone, with a traceback. The exit
-code is 1 after a violation, or when most worlds are refused.
+code is 1 after a violation, when most worlds are refused, or when a usual run leaves a part of the library out.
 """
 
 import argparse
 import sys
 import traceback
-from dataclasses import asdict
 
 from fuzz import Tally, play
 from joblib import Parallel, delayed
+
+NORMAL = 100_000
+"""Episodes of a usual run, in which every part of the library has been played."""
 
 CHUNK = 32
 """Worlds between two counts of the episodes."""
@@ -27,13 +29,13 @@ def attempt(seed, episodes):
 def main(arguments=None):
     """Play worlds until they sum up to the episodes, and print the tally and the violations."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--episodes", type=int, default=100_000, help="smallest number of episodes")
+    parser.add_argument("--episodes", type=int, default=NORMAL, help="smallest number of episodes")
     parser.add_argument("--each", type=int, default=200, help="episodes in each world")
     parser.add_argument("--jobs", type=int, default=-1, help="processes, -1 for one per core")
     parser.add_argument("--world", type=int, help="play this world alone")
     options = parser.parse_args(arguments)
     if options.world is not None:
-        print(asdict(play(options.world, options.each)))
+        print(play(options.world, options.each))
         return 0
     total, world, failed = Tally(), 0, False
     with Parallel(n_jobs=options.jobs) as parallel:
@@ -47,8 +49,11 @@ def main(arguments=None):
                     failed = True
                     print(f"--world {number}: {violation}")
             world += CHUNK
-    print(asdict(total))
-    return int(failed or total.refuses_too_many)
+    print(total)
+    unplayed = total.unplayed if total.episodes >= NORMAL else []
+    if unplayed:
+        print(f"no world has played {', '.join(unplayed)}")
+    return int(failed or total.refuses_too_many or bool(unplayed))
 
 
 if __name__ == "__main__":

@@ -53,14 +53,16 @@ def solve_box(field: Field, jacobian: Field, low: FloatArray, high: FloatArray, 
         newton = unsolved & (reached <= goal / 2)  # False where no Newton step exists and the residual is NaN
         goal = np.where(newton, reached, goal)
         x = np.where(newton, trial, x)
-        if (unsolved & ~newton).any():
+        others = unsolved & ~newton
+        if others.any():
             middle = np.clip(x - length * value, low, high)
             there = field(middle)
             steepness = length * _norm(there - value)
             moved = _norm(middle - x)
             short = steepness <= 0.9 * moved
-            x = np.where(unsolved & ~newton & short, np.clip(x - length * there, low, high), x)
-            length = np.where(short, np.where(steepness <= 0.4 * moved, 1.5 * length, length), length / 2)
+            x = np.where(others & short, np.clip(x - length * there, low, high), x)
+            changed = np.where(short, np.where(steepness <= 0.4 * moved, 1.5 * length, length), length / 2)
+            length = np.where(others, changed, length)
         value = field(x)
         residual = _norm(natural_map(x, value, low, high))
     trial, reached = _newton(field, jacobian, x, value, low, high)  # a further step, to the last digits

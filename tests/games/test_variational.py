@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ptne_env.games import ElectricVehicleCharging
 from ptne_env.games.variational import natural_map, solve_box
 
 
@@ -91,3 +92,10 @@ def test_natural_map_vanishes_exactly_at_solutions():
     low, high = np.zeros((2, 1)), np.ones((2, 1))
     assert not natural_map(np.array([[0.0], [1.0]]), np.array([[3.0], [-2.0]]), low, high).any()
     assert natural_map(np.array([[0.0], [1.0]]), np.array([[-3.0], [0.5]]), low, high)[:, 0] == pytest.approx([-1, 0.5])
+
+
+def test_a_solution_does_not_depend_on_the_others_of_its_batch():
+    game = ElectricVehicleCharging()
+    strategies = np.random.default_rng(0).uniform(0, 2, (game.dimension, 300))
+    alone = [game.best_response(column[:, None]) for column in strategies.T]
+    assert np.array_equal(game.best_response(strategies), np.concatenate(alone, axis=1))
