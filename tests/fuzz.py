@@ -120,7 +120,7 @@ def energy_arguments(rng, players):
 
 def priced_arguments(rng, players):
     constraint = numbers(rng, -1, 1, 2, players)
-    return {"game": part("game:affine", **affine_arguments(rng, players)), "constraint": constraint, "limit": [1, 2]}
+    return {"game": part("game:quadratic", **affine_arguments(rng, players)), "constraint": constraint, "limit": [1, 2]}
 
 
 def saturating_arguments(rng, players):
@@ -136,7 +136,6 @@ def whole_family(rng, players):
 
 
 GAMES = {
-    "affine": affine_arguments,
     "coupled": lambda rng, players: {"game": whole_family(rng, players), "lines": rng.randint(1, 2)},
     "cournot": None,
     "energy": energy_arguments,
@@ -144,13 +143,13 @@ GAMES = {
     "non-quadratic": lambda rng, _: {"variant": rng.choice(("printed", "corrected"))},
     "oligopoly": None,
     "priced": priced_arguments,
+    "quadratic": affine_arguments,
     "random-affine": random_affine_arguments,
     "random-energy": lambda _, players: {"players": players},
     "random-saturating": lambda rng, players: {"affine": whole_family(rng, players), "bend": rng.uniform(0, 3)},
     "rate-control": None,
     "robots": None,
     "saturating": saturating_arguments,
-    "single": lambda rng, players: {"game": part("game:energy", **energy_arguments(rng, players))},
     "weakly-monotone": None,
 }
 """By name, random arguments of games of about some number of players; ``None`` for those that have no arguments."""
@@ -321,7 +320,7 @@ def some_arguments(rng):
     names = sorted(TERMS)
     weights = {name: rng.choice((1.0, 0.5)) for name in rng.sample(names, 2)}
     return {
-        "interface": rng.choice(("physical", "scaled")),
+        "interface": rng.choice(("physical", "physical", "scaled")),
         "reward": rng.choice((*names, "digits", weights)),
         "max_cycles": rng.choice((None, None, rng.randint(1, 50))),
     }

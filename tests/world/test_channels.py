@@ -33,6 +33,10 @@ STAGES = {
     "bursts": channel_part("BurstLoss", to_bad=0.1, to_good=0.4),
     "uniform levels": channel_part("UniformQuantiser", width=0.25),
     "range": channel_part("Range", limit=2.0),
+    "lies": channel_part("Lying", size=3.0),
+    "bias": channel_part("Bias", bound=0.1),
+    "heavy tails": channel_part("HeavyTails", scale=0.5),
+    "late noise": channel_part("LateNoise", std=0.5, step=2),
 }
 CHANNELS = STAGES | {"everything": EVERY_FAULT, "nothing": channel_part("Chain", stages=())}
 
@@ -209,7 +213,9 @@ def transmit(channel, steps, messages=None, batch=400, seed=0):
     for k in range(steps):
         sent = constant_messages(batch) if messages is None else messages(k)
         randomness = LinkRandomness(keys, np.full(batch, k), SENDERS, np.arange(5))
+        before = sent.values.copy()
         out, memory = channel.transmit(sent, memory, randomness)
+        assert np.array_equal(sent.values, before)
         results.append(out)
     return results
 
@@ -218,13 +224,37 @@ def build(name):
     return CHANNELS[name].build()
 
 
+def errors(name, steps):
+    """What the channel adds to each message, per step."""
+    return np.array([out.values - 3.0 for out in transmit(build(name), steps)])
+
+
 def test_noise_is_normal_with_its_standard_deviation():
-    noise = np.array([out.values - 3.0 for out in transmit(build("additive noise"), 10)])
+    noise = errors("additive noise", 10)
     assert stats.kstest(noise.ravel() / 0.3, "norm").pvalue > FALSE_ALARM
     for axis in range(5):  # neighbours along steps, slots, components, players and episodes are uncorrelated
         first, second = np.delete(noise, 0, axis), np.delete(noise, -1, axis)
         limit = stats.norm.isf(FALSE_ALARM / 2) / math.sqrt(first.size)
         assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < limit
+
+
+def test_a_bias_is_uniform_over_links_and_components_and_the_same_in_all_steps():
+    offsets = errors("bias", 3)
+    np.testing.assert_array_equal(offsets[1:], offsets[:1].repeat(2, axis=0))
+    assert stats.kstest(offsets[0].ravel(), stats.uniform(-0.1, 0.2).cdf).pvalue > FALSE_ALARM
+
+
+def test_heavy_tails_are_those_of_students_distribution_of_two_degrees():
+    noise = errors("heavy tails", 2)
+    assert stats.kstest(noise.ravel() / 0.5, stats.t(2).cdf).pvalue > FALSE_ALARM
+    assert np.isfinite(noise).all()
+    assert abs(stats.spearmanr(noise[0].ravel(), noise[1].ravel()).statistic) < 0.05
+
+
+def test_late_noise_starts_at_its_step():
+    noise = errors("late noise", 4)
+    assert np.all(noise[:2] == 0)
+    assert stats.kstest(noise[2:].ravel() / 0.5, stats.norm.cdf).pvalue > FALSE_ALARM
 
 
 def numbered(k):
@@ -333,6 +363,9 @@ REFUSED = {
     "delays in the wrong order": ("Delay", {"steps": 3, "longest": 2}, "longest must be a whole number of at least 3"),
     "no way out": ("BurstLoss", {"to_bad": 0.1, "to_good": 0.0}, "to_good must be a finite number above 0"),
     "no channel": ("Chain", {"stages": (3,)}, "the stages of a chain are channels, got a int"),
+    "negative bias": ("Bias", {"bound": -1.0}, "bound must be a finite number of at least 0"),
+    "no scale": ("HeavyTails", {"scale": math.nan}, "scale must be a finite number of at least 0"),
+    "start before the start": ("LateNoise", {"std": 1.0, "step": -1}, "step must be a whole number of at least 0"),
     "no range": ("Range", {"limit": 0.0}, "limit must be a finite number above 0"),
     "unknown argument": ("Loss", {"rate": 0.1}, "refuses its arguments"),
 }
