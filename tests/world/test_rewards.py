@@ -104,7 +104,7 @@ def test_the_worst_value_is_the_limit_of_the_values_in_range(name, game):
     corners, inside = generator.choice((-1.0, 1.0), shape), generator.uniform(-1, 1, shape)
     together = np.ones(shape) * np.where(np.arange(100) % 2, -1.0, 1.0)
     estimates = RANGE_LIMIT * np.concatenate([corners, inside, together], axis=2)
-    state = dynamics.initial_state(world, estimates)._replace(any_diverged=False)
+    state = dynamics.begin(world, estimates, world.game, None)._replace(any_diverged=False)
     values, worst = term.value(state, measure_distances(state)), term.worst(world.game)
     assert (values >= worst).all()
     assert values.min() <= worst / 4
