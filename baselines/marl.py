@@ -181,12 +181,12 @@ def train_benchmarl(job: Job, folder: Path, report: Report) -> None:
     from benchmarl.experiment import Callback, Experiment, ExperimentConfig
     from benchmarl.models.mlp import MlpConfig
 
-    from ptne_env.envs.benchmarl import Actor, NashSeekingTask
+    from ptne_env.envs.benchmarl import NashSeekingTask, make_policy
 
     class Reporter(Callback):
         def on_train_end(self, training_td: Any, group: str) -> None:  # noqa: ARG002 - BenchMARL's signature
             if job.is_due(self.experiment.total_frames * PLAYERS):
-                report(self.experiment.total_frames * PLAYERS, Actor(self.experiment))
+                report(self.experiment.total_frames * PLAYERS, make_policy(self.experiment))
 
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     scenario = SUITE.track(job.track).scenario

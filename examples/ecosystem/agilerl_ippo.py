@@ -10,7 +10,7 @@ import torch
 from agilerl.algorithms import IPPO
 from agilerl.training.train_multi_agent_on_policy import train_multi_agent_on_policy
 from agilerl.vector import AsyncPettingZooVecEnv
-from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, law, report
+from yardstick import EPISODES, LAW, SCENARIO, digits, law, policy_of, report
 
 import ptne_env
 
@@ -75,11 +75,11 @@ def train() -> tuple[float, float]:
         of_all = torch.stack([mean(player, torch.from_numpy(rows)) for player in env.agents]).numpy()
         return of_all[LAYOUT.select(rows, "player").argmax(axis=1), np.arange(len(rows))]
 
-    before = digits(Acting(act))
+    before = digits(policy_of(act))
     train_multi_agent_on_policy(
         env, SCENARIO, "IPPO", [agent], max_steps=STEPS, evo_steps=STEPS, eval_steps=1, verbose=False
     )
-    return before, digits(Acting(act))
+    return before, digits(policy_of(act))
 
 
 def main() -> None:

@@ -13,7 +13,7 @@ from tensordicts import law_digits
 from torchrl.envs import EnvBase, check_env_specs
 from yardstick import EPISODES, LAW, SCENARIO, digits, report
 
-from ptne_env.envs.benchmarl import Actor, NashSeekingTask
+from ptne_env.envs.benchmarl import NashSeekingTask, make_policy
 
 
 def train(task: NashSeekingTask, num_envs: int) -> tuple[float, float]:
@@ -32,9 +32,9 @@ def train(task: NashSeekingTask, num_envs: int) -> tuple[float, float]:
     with TemporaryDirectory() as folder:
         config.save_folder = folder
         experiment = Experiment(task, algorithm, model, seed=0, config=config)
-        before = digits(Actor(experiment))
+        before = digits(make_policy(experiment))
         experiment.run()
-        return before, digits(Actor(experiment))
+        return before, digits(make_policy(experiment))
 
 
 def make(task: NashSeekingTask, num_envs: int) -> EnvBase:

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import nn
 from torch.distributions import Normal
-from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, law, report
+from yardstick import EPISODES, LAW, SCENARIO, digits, law, policy_of, report
 
 from ptne_env import VectorParallelEnv
 
@@ -87,7 +87,7 @@ def main() -> None:
     def act(observations: np.ndarray) -> np.ndarray:
         return actor(torch.from_numpy(observations)).clamp(-1, 1).numpy()
 
-    before = digits(Acting(act))
+    before = digits(policy_of(act))
 
     shape = (args.num_steps, rows)
     states, actions = torch.zeros(*shape, size), torch.zeros(*shape, action_size)
@@ -131,7 +131,7 @@ def main() -> None:
                 nn.utils.clip_grad_norm_(parameters, args.max_grad_norm)
                 optimiser.step()
 
-    report(law_digits(), before, digits(Acting(act)))
+    report(law_digits(), before, digits(policy_of(act)))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import gymnasium
 import minari
 import numpy as np
-from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, law, report
+from yardstick import EPISODES, LAW, SCENARIO, digits, law, policy_of, report
 
 from ptne_env import Interface
 
@@ -75,8 +75,8 @@ def main() -> None:
         return np.einsum("rs,rsa->ra", rows, weights[players]).astype(np.float32)
 
     physical = Interface("physical")
-    before = digits(Acting(lambda rows: np.zeros((len(rows), layout.action_size), dtype=np.float32)), physical)
-    report(gained, before, digits(Acting(act), physical))
+    before = digits(policy_of(lambda rows: np.zeros((len(rows), layout.action_size), dtype=np.float32)), physical)
+    report(gained, before, digits(policy_of(act), physical))
 
 
 if __name__ == "__main__":

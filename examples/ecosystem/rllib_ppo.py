@@ -24,10 +24,11 @@ from ray.rllib.core.rl_module.rl_module import RLModuleSpec
 from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 from ray.rllib.utils.pre_checks.env import check_multiagent_environments
 from ray.tune.registry import register_env
-from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, law, report
+from yardstick import EPISODES, LAW, SCENARIO, digits, law, policy_of, report
 
 import ptne_env
 from ptne_env.envs.vector import VectorParallelEnv
+from ptne_env.perception.policy import Policy
 
 PLAYERS = [f"player_{index}" for index in range(5)]
 
@@ -148,7 +149,7 @@ def stepped_together(num_envs: int) -> Algorithm:
     )
 
 
-def acting(algorithm: Algorithm) -> Acting:
+def acting(algorithm: Algorithm) -> Policy:
     """Return the means of the policy's actions."""
     size = ptne_env.parallel_env(SCENARIO).layout.action_size
     module = algorithm.get_module("shared" if algorithm.config.is_multi_agent else DEFAULT_MODULE_ID)
@@ -158,7 +159,7 @@ def acting(algorithm: Algorithm) -> Acting:
         outputs = module.forward_inference({Columns.OBS: torch.from_numpy(observations)})
         return outputs[Columns.ACTION_DIST_INPUTS][:, :size].numpy()  # means first, then log deviations
 
-    return Acting(act)
+    return policy_of(act)
 
 
 def main() -> None:

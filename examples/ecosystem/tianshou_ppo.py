@@ -16,7 +16,7 @@ from tianshou.trainer import OnPolicyTrainerParams
 from tianshou.utils.net.common import Net
 from tianshou.utils.net.continuous import ContinuousActorProbabilistic, ContinuousCritic
 from torch.distributions import Independent, Normal
-from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, law, report
+from yardstick import EPISODES, LAW, SCENARIO, digits, law, policy_of, report
 
 from ptne_env.envs.parallel import aec_env
 from ptne_env.envs.vector import VectorParallelEnv
@@ -112,7 +112,7 @@ def train() -> tuple[float, float]:
             (mean, _), _ = actor(rows)
         return mean.clamp(-1, 1).numpy()
 
-    before = digits(Acting(act))
+    before = digits(policy_of(act))
     collector = Collector(algorithm, env, VectorReplayBuffer(4_000, env.env_num))
     algorithm.run_training(
         OnPolicyTrainerParams(
@@ -120,7 +120,7 @@ def train() -> tuple[float, float]:
             batch_size=500, update_step_num_repetitions=5, verbose=False, show_progress=False,
         )
     )  # fmt: skip
-    return before, digits(Acting(act))
+    return before, digits(policy_of(act))
 
 
 def main() -> None:

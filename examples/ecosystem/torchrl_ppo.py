@@ -14,7 +14,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import EnvBase, PettingZooWrapper, check_env_specs
 from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import ClipPPOLoss
-from yardstick import EPISODES, LAW, SCENARIO, Acting, digits, report
+from yardstick import EPISODES, LAW, SCENARIO, digits, policy_of, report
 
 import ptne_env
 from ptne_env.envs.torchrl import TorchRLEnv
@@ -53,7 +53,7 @@ def train(env: EnvBase) -> tuple[float, float]:
     def act(observations: np.ndarray) -> np.ndarray:
         return torch.tanh(mean(torch.from_numpy(observations))[0]).numpy()
 
-    before = digits(Acting(act))
+    before = digits(policy_of(act))
     for batch in Collector(env, actor, frames_per_batch=800, total_frames=6400):
         for _ in range(5):
             with torch.no_grad():
@@ -64,7 +64,7 @@ def train(env: EnvBase) -> tuple[float, float]:
                 optimiser.zero_grad()
                 (losses["loss_objective"] + losses["loss_critic"]).backward()
                 optimiser.step()
-    return before, digits(Acting(act))
+    return before, digits(policy_of(act))
 
 
 def one_at_a_time(**arguments: str) -> EnvBase:

@@ -13,7 +13,7 @@ import numpy as np
 import ptne_env
 from ptne_env import Interface, PolicySpec, laws
 from ptne_env.envs.gymnasium import JointEnv
-from ptne_env.perception.policy import BLOCK, Policy, RowPolicy
+from ptne_env.perception.policy import NetworkPolicy, Policy
 from ptne_env.world import distances
 
 SCENARIO = "random-energy"
@@ -27,22 +27,9 @@ def law(layout: ptne_env.ObservationLayout) -> Policy:
     return laws.Static(layout, kappa=2.0)
 
 
-class Acting(RowPolicy):
-    """A policy for ``ptne_env.evaluate``, from a function of observations (R, size) to actions (R, action size).
-
-    The function gets whole blocks of rows: linear algebra takes other code for small batches, and ``evaluate`` requires
-    the same bits for a row in every batch.
-    """
-
-    block = BLOCK
-
-    def __init__(self, act: Callable[[np.ndarray], np.ndarray]) -> None:
-        """Store the function from a batch of observations to actions."""
-        self.act = act
-
-    def decide(self, rows: np.ndarray, memory: object, *_: object, **__: object) -> tuple[np.ndarray, object]:
-        """Return the actions, and the memory unchanged."""
-        return self.act(rows), memory
+def policy_of(act: Callable[[np.ndarray], np.ndarray]) -> Policy:
+    """Return a policy for ``ptne_env.evaluate`` that acts by a function of whole blocks of observations (R, size)."""
+    return NetworkPolicy(lambda rows, memory, *_: (act(rows), memory))
 
 
 def digits(policy: Policy, interface: Interface = Interface()) -> float:  # noqa: B008 - it is frozen

@@ -3,7 +3,6 @@
 Needs ``pip install benchmarl``, in a virtual environment of its own, because BenchMARL pins an older TorchRL.
 """
 
-from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -14,9 +13,8 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from ptne_env.envs.torchrl import GROUP, TorchRLEnv
-from ptne_env.perception.observation import ObservationLayout
-from ptne_env.perception.policy import BLOCK, RowPolicy
-from ptne_env.shared.arrays import BoolArray, Float32Array
+from ptne_env.perception.policy import NetworkPolicy
+from ptne_env.shared.arrays import Float32Array
 from ptne_env.world.world import World
 
 
@@ -63,26 +61,19 @@ class NashSeekingTask(TaskClass):
         return "ptne"
 
 
-class Actor(RowPolicy):
-    """The actor of an experiment as a policy for :func:`ptne_env.evaluate`, without exploration and as trained so far.
+def make_policy(experiment: Experiment) -> NetworkPolicy:
+    """Return the actor without exploration, at every call as trained by then, as a policy for ``evaluate``.
 
-    The players must share one network that decides for each of them alone, such as the MLP of BenchMARL's defaults.
+    The players must share one network that decides each of them alone (an MLP), as BenchMARL's defaults have it.
     """
+    layout = experiment.test_env.layout
 
-    block = BLOCK
-
-    def __init__(self, experiment: Experiment) -> None:
-        self._experiment = experiment
-        self._layout: ObservationLayout = experiment.test_env.layout
-        self.interface = self._layout.interface
-
-    @property
-    def made_for(self) -> Mapping[str, Any]:
-        return {name: getattr(self._layout, name) for name in ("interface", "action_dims", "slots", "size")}
-
-    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:
-        observations = torch.from_numpy(rows)[:, None].expand(-1, self._layout.num_players, -1)  # of all the same
+    def decide(rows: Float32Array, memory: Any, *_: Any) -> tuple[Any, Any]:
+        observations = torch.from_numpy(rows)[:, None].expand(-1, layout.num_players, -1)  # of all players the same
         group = TensorDict({"observation": observations}, observations.shape[:2])
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            actions = self._experiment.policy(TensorDict({GROUP: group}, observations.shape[:1]))[GROUP, "action"]
+            actions = experiment.policy(TensorDict({GROUP: group}, observations.shape[:1]))[GROUP, "action"]
         return actions[:, 0].numpy(), memory
+
+    made_for = {name: getattr(layout, name) for name in ("interface", "action_dims", "slots", "size")}
+    return NetworkPolicy(decide, made_for, experiment.algorithm_name)

@@ -49,7 +49,7 @@ class JaxPolicy(RowPolicy):
     layout: ObservationLayout | None = None
 
     @property
-    def made_for(self) -> Mapping[str, Any]:
+    def made_for(self) -> Mapping[str, Any]:  # type: ignore[override]  # it is frozen, and derives it
         """The size, interface, players and neighbour slots of its layout, if it has one."""
         names = ("size", "interface", "action_dims", "slots") if self.layout is not None else ()
         return {name: getattr(self.layout, name) for name in names}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, ClassVar, TypeVar
 
@@ -44,11 +43,7 @@ class Law(RowPolicy):
                 f"{name} reads {', '.join(missing)}, which the layout of {layout.interface} lacks; build the "
                 f"environment with {self.interface}"
             )
-        self.layout = layout
-
-    @property
-    def made_for(self) -> Mapping[str, Any]:
-        return {"size": self.layout.size}
+        self.layout, self.made_for = layout, {"size": layout.size}
 
     def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - laws are deterministic
         observation = self.layout.read(rows)

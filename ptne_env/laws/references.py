@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -51,14 +50,10 @@ class RandomPolicy(RowPolicy):
     """
 
     def __init__(self, layout: ObservationLayout, seed: int = 0) -> None:
-        self.layout = layout
+        self.layout, self.made_for = layout, {"size": layout.size}
         generator = np.random.default_rng(require_count("seed", seed, 0))
         self._factors = generator.integers(2**64, size=layout.size, dtype=np.uint64)
         self._offset = generator.integers(2**64, size=1, dtype=np.uint64)
-
-    @property
-    def made_for(self) -> Mapping[str, Any]:
-        return {"size": self.layout.size}
 
     def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - it has no memory
         words = np.ascontiguousarray(rows).view(np.uint32)

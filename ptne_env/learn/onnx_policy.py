@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ptne_env.perception.observation import Interface
-from ptne_env.perception.policy import BLOCK, PolicyFileError, RowPolicy
-from ptne_env.shared.arrays import BoolArray, Float32Array, require_count
+from ptne_env.perception.policy import BLOCK, NetworkPolicy, PolicyFileError
+from ptne_env.shared.arrays import Float32Array, require_count
 
 if TYPE_CHECKING:
     import onnx
-    import onnxruntime
 
 _METADATA, _DIGEST, _UNKNOWN = "ptne_env", "sha256", "0" * 64
 
@@ -92,33 +91,6 @@ class Metadata:
         return metadata
 
 
-class OnnxPolicy(RowPolicy):
-    """A network without memory that onnxruntime runs; its actions are the mean actions.
-
-    Attributes:
-        name: the name of the file, without its ending.
-        interface: the interface of the policy.
-        metadata: the description in the file.
-    """
-
-    block = BLOCK
-
-    def __init__(self, name: str, session: onnxruntime.InferenceSession, metadata: Metadata) -> None:
-        self.name, self.metadata, self.interface = name, metadata, metadata.interface
-        self._session = session
-        (self._input,) = session.get_inputs()
-
-    @property
-    def made_for(self) -> Mapping[str, Any]:
-        """The interface, players and neighbour slots in the metadata, and the length of the observations."""
-        names = ("interface", "action_dims", "slots")
-        return {name: getattr(self.metadata, name) for name in names} | {"size": self._input.shape[1]}
-
-    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - it has no memory
-        """Return the actions, and the memory as it is; see :meth:`ptne_env.perception.policy.RowPolicy.decide`."""
-        return self._session.run(None, {self._input.name: rows})[0], memory
-
-
 def seal(model: onnx.ModelProto, metadata: Metadata) -> bytes:
     """Return the content of a policy file: a network from observations (R, size) to actions, and its description.
 
@@ -131,7 +103,7 @@ def seal(model: onnx.ModelProto, metadata: Metadata) -> bytes:
     return content.replace(_UNKNOWN.encode(), sha256(content).hexdigest().encode())
 
 
-def open_policy(path: Path, content: bytes) -> OnnxPolicy:
+def open_policy(path: Path, content: bytes) -> NetworkPolicy:
     """Check the content of an ``.onnx`` file, and return its policy, which has decided one block of rows.
 
     Raises:
@@ -162,14 +134,18 @@ def open_policy(path: Path, content: bytes) -> OnnxPolicy:
     options.log_severity_level = 4
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"], enable_fallback=0)
-        policy = OnnxPolicy(path.stem, session, metadata)
-        rows = np.zeros((BLOCK, policy.made_for["size"]), dtype=np.float32)
-        actions, _ = policy.decide(rows, None, np.zeros(BLOCK, dtype=np.bool_), deterministic=True)
+        (taken,) = session.get_inputs()
+        (actions,) = session.run(None, {taken.name: np.zeros((BLOCK, taken.shape[1]), dtype=np.float32)})
     except Exception as error:  # onnxruntime raises its own classes, which are not public
         raise PolicyFileError(f"{path} cannot decide a batch of any number of rows of observations: {error}") from error
     if actions.dtype != np.float32 or actions.shape != (BLOCK, sum(metadata.action_dims)):
         raise PolicyFileError(f"{path} does not answer with actions of {sum(metadata.action_dims)} float32 numbers")
-    return policy
+
+    def decide(rows: Float32Array, memory: Any, *_: Any) -> tuple[Any, Any]:
+        return session.run(None, {taken.name: rows})[0], memory
+
+    made_for = {name: getattr(metadata, name) for name in ("interface", "action_dims", "slots")}
+    return NetworkPolicy(decide, made_for | {"size": taken.shape[1]}, path.stem, metadata)
 
 
 def _why_refused(model: onnx.ModelProto) -> str | None:

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ptne_env.learn import onnx_policy, recurrent
+from ptne_env.learn.recurrent import RecurrentPolicy
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.perception.policy import PolicyFileError
+from ptne_env.perception.policy import NetworkPolicy, PolicyFileError
 from ptne_env.shared.files import require_file
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import FactorySpec
@@ -74,9 +75,7 @@ def find_file(path_or_name: str | Path) -> Path:
     return shipped_path(str(path_or_name)) if str(path_or_name) in shipped_names() else Path(path_or_name)
 
 
-def load(
-    path_or_name: str | Path, layout: ObservationLayout | None = None
-) -> onnx_policy.OnnxPolicy | recurrent.RecurrentPolicy:
+def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> NetworkPolicy | RecurrentPolicy:
     """Load a learned policy from an ``.onnx`` or ``.npz`` file, or a policy of the library by name.
 
     Args:
@@ -99,5 +98,5 @@ def load(
     if path.stat().st_size > LARGEST_FILE:
         raise PolicyFileError(f"{path} has more than {LARGEST_FILE >> 20} MiB")
     open_policy = onnx_policy.open_policy if path.suffix == ".onnx" else recurrent.open_policy
-    policy: onnx_policy.OnnxPolicy | recurrent.RecurrentPolicy = open_policy(path, path.read_bytes())
+    policy: NetworkPolicy | RecurrentPolicy = open_policy(path, path.read_bytes())
     return policy if layout is None else policy.with_layout(layout)

@@ -355,12 +355,7 @@ class RecurrentPolicy(RowPolicy):
     ) -> None:
         self.name, self.weights, self.training = name, weights, dict(training)
         self._layout = layout
-
-    @property
-    def made_for(self) -> Mapping[str, Any]:
-        """The interface, and the length of the observations once the policy has a layout."""
-        size = {} if self._layout is None else {"size": self._layout.size}
-        return {"interface": self.interface, **size}
+        self.made_for = {"interface": self.interface} | ({} if layout is None else {"size": layout.size})
 
     def with_layout(self, layout: ObservationLayout) -> RecurrentPolicy:
         """Return the same policy for an environment of this layout.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,42 +11,14 @@ from gymnasium import spaces
 
 from ptne_env.perception.fields import LOG_SCALE_UNIT, SMALLEST_SCALE
 from ptne_env.perception.observation import Interface, ObservationLayout
-from ptne_env.perception.policy import BLOCK, PolicyFileError, RowPolicy
-from ptne_env.shared.arrays import BoolArray, Float32Array
+from ptne_env.perception.policy import NetworkPolicy, PolicyFileError
 from ptne_env.shared.files import require_file
 
 
-class ArchivePolicy(RowPolicy):
-    """The policy network of a model of Stable-Baselines3; its interface is recognised by the spaces.
-
-    Attributes:
-        name: the name of the file, without its ending.
-        interface: the interface of the policy.
-    """
-
-    block = BLOCK
-
-    def __init__(self, name: str, network: Any) -> None:
-        self.name, self._network = name, network
-        # The only entry of an observation that goes down to this number is the logarithm of the scale.
-        is_scaled = np.isclose(network.observation_space.low, math.log10(SMALLEST_SCALE) / LOG_SCALE_UNIT).any()
-        self.interface = Interface("scaled" if is_scaled else "physical")
-
-    @property
-    def made_for(self) -> Mapping[str, Any]:
-        """The interface, and the sizes of observations and actions."""
-        observations, actions = self._network.observation_space, self._network.action_space
-        return {"interface": self.interface, "size": len(observations.low), "action_size": len(actions.low)}
-
-    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:
-        """Return the actions and the memory; see :meth:`ptne_env.perception.policy.RowPolicy.decide`."""
-        return self._network.predict(rows, memory, starts, deterministic)
-
-
-def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchivePolicy:
+def load_archive(path: str, layout: ObservationLayout | None = None) -> NetworkPolicy:
     """Load the policy network of a model of any algorithm of Stable-Baselines3. This executes code in the file.
 
-    Torch is set to one thread, so that the same bits come out in every run.
+    Torch is set to one thread, so that the same bits come out in every run. The interface is recognised by the spaces.
 
     Args:
         path: the archive.
@@ -78,8 +49,12 @@ def load_archive(path: str, layout: ObservationLayout | None = None) -> ArchiveP
     except Exception as error:  # unpickling foreign bytes may raise anything
         raise PolicyFileError(f"{path} is not an archive of a Stable-Baselines3 model: {error!r}") from error
     network.set_training_mode(mode=False)
-    spaces_of_model = (network.observation_space, network.action_space)
-    if not all(isinstance(space, spaces.Box) and len(space.shape) == 1 for space in spaces_of_model):
+    observations, actions = network.observation_space, network.action_space
+    if not all(isinstance(space, spaces.Box) and len(space.shape) == 1 for space in (observations, actions)):
         raise PolicyFileError(f"{path} was not trained on one player's observations and actions of ptne_env")
-    policy = ArchivePolicy(Path(path).stem, network)
+    # The only entry of an observation that goes down to this number is the logarithm of the scale.
+    is_scaled = np.isclose(observations.low, math.log10(SMALLEST_SCALE) / LOG_SCALE_UNIT).any()
+    interface = Interface("scaled" if is_scaled else "physical")
+    made_for = {"interface": interface, "size": len(observations.low), "action_size": len(actions.low)}
+    policy = NetworkPolicy(network.predict, made_for, Path(path).stem)
     return policy if layout is None else policy.with_layout(layout)

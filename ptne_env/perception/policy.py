@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from inspect import signature
 from pathlib import Path
 from traceback import extract_tb
-from typing import Any, ClassVar, Protocol, Self, runtime_checkable
+from types import MappingProxyType
+from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.perception.observation import LayoutError, ObservationLayout
+from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array
 from ptne_env.shared.files import DamagedFileError
 
@@ -96,26 +97,14 @@ class Policy(Protocol):
         ...
 
 
-BLOCK = 32
-"""Rows in a block: twice the smallest batch, 16, from which on torch's products have the same bits in every batch, and
-a multiple of the numbers in a vector register, at most 16."""
-
-
 class RowPolicy(ABC):
     """A policy that decides each row of observations from that row and its own memory alone.
 
-    A subclass implements :meth:`decide`, and says what it was :attr:`made_for`.
+    A subclass implements :meth:`decide`.
     """
 
-    block: ClassVar[int] = 1
-    """:meth:`decide` gets a multiple of this number of rows, the last of them zeros. Libraries of linear algebra take
-    other code for small batches, and for the last numbers of an array that fill no vector register, which changes the
-    last bits of a row's result; with :data:`BLOCK` a network decides a row alike in every batch."""
-
-    @property
-    def made_for(self) -> Mapping[str, Any]:
-        """The attributes, by name, that an :class:`ObservationLayout` must have for the policy to act."""
-        return {}
+    made_for: Mapping[str, Any] = MappingProxyType({})
+    """The attributes, by name, that an :class:`ObservationLayout` must have for the policy to act."""
 
     def with_layout(self, layout: ObservationLayout) -> Self:
         """Return the policy itself if it can act in an environment of this layout.
@@ -151,19 +140,56 @@ class RowPolicy(ABC):
         Raises:
             ValueError: when observations, ``episode_start`` or the memory have another shape than the policy needs.
         """
-        rows = np.atleast_2d(np.asarray(observation, dtype=np.float32))
-        count, size = len(rows), self.made_for.get("size", rows.shape[-1])
+        array = np.asarray(observation, dtype=np.float32)
+        rows = array[None] if array.ndim == 1 else array
+        size = self.made_for.get("size", rows.shape[-1])
         if rows.ndim != 2 or rows.shape[1] != size:
             raise ValueError(
                 f"this policy was built for observations of length {size} (one row, or one per player), got the shape "
-                f"{np.shape(observation)}"
+                f"{array.shape}"
             )
-        starts = np.zeros(count, np.bool_) if episode_start is None else np.atleast_1d(episode_start).astype(np.bool_)
-        if starts.shape != (count,):
+        count = len(rows)
+        starts = np.zeros(count, np.bool_) if episode_start is None else np.asarray(episode_start, np.bool_).reshape(-1)
+        if len(starts) != count:
             raise ValueError(f"episode_start has the shape {starts.shape}, and the {count} rows need ({count},)")
-        if missing := -count % self.block:
-            rows = np.concatenate([rows, np.zeros((missing, size), np.float32)])
-            starts = np.concatenate([starts, np.zeros(missing, np.bool_)])
         actions, state = self.decide(rows, state, starts, deterministic=deterministic)
         actions = np.asarray(actions, dtype=np.float32)
-        return (actions[0] if np.ndim(observation) == 1 else actions[:count]), state
+        return (actions[0] if array.ndim == 1 else actions), state
+
+
+BLOCK = 32
+"""Rows in a block: twice the smallest batch, 16, from which on torch's products have the same bits in every batch, and
+a multiple of the numbers in a vector register, at most 16."""
+
+
+Function: TypeAlias = Callable[[Float32Array, Any, BoolArray, bool], tuple[Any, Any]]
+"""``function(rows, memory, starts, deterministic) -> (actions, memory)``, as :meth:`RowPolicy.decide`."""
+
+
+class NetworkPolicy(RowPolicy):
+    """A policy that decides by a function, such as a network, which gets whole blocks of rows, the last rows 0.
+
+    So each row has the same result in every batch. Libraries of linear algebra take other code for small batches, and
+    for the last numbers of an array that fill no vector register, which changes the last bits of a row's result.
+
+    Args:
+        function: decides for the rows.
+        made_for: the attributes that a layout must have; an ``interface`` among them becomes that of the policy.
+        name: the name of the file of the network, without its ending.
+        metadata: the description in the file, if it has one.
+    """
+
+    def __init__(
+        self, function: Function, made_for: Mapping[str, Any] = RowPolicy.made_for, name: str = "", metadata: Any = None
+    ) -> None:
+        self._function, self.made_for, self.name, self.metadata = function, made_for, name, metadata
+        self.interface: Interface | None = made_for.get("interface")
+
+    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:
+        """Return the actions and the memory, which has whole blocks of rows; see :meth:`RowPolicy.decide`."""
+        count = len(rows)
+        if missing := -count % BLOCK:
+            rows = np.concatenate([rows, np.zeros((missing, rows.shape[1]), np.float32)])
+            starts = np.concatenate([starts, np.zeros(missing, np.bool_)])
+        actions, memory = self._function(rows, memory, starts, deterministic)
+        return actions[:count], memory
