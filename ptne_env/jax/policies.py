@@ -151,16 +151,14 @@ def static(layout: ObservationLayout, kappa: float = 2.0, gradient_gain: float =
 
 
 def adaptive(layout: ObservationLayout, gamma: npt.ArrayLike = 0.01, initial_gain: npt.ArrayLike = 0.5) -> JaxPolicy:
-    """The law :class:`ptne_env.laws.Adaptive`; its parameters are γ, or γ_ij as rows of players, and such κ_ij(0)."""
+    """The law :class:`ptne_env.laws.Adaptive`; its parameters are γ_ij and the surplus of κ_ij(0), rows of players."""
     law = Adaptive(layout, gamma, initial_gain)
 
     def act(params: Any, observation: jax.Array, memory: jax.Array) -> tuple[jax.Array, jax.Array]:
         seen = layout.read(observation)
-        own = {name: jnp.asarray(rows)[seen.player] if np.ndim(rows) else rows for name, rows in params.items()}
-        return adaptive_inputs(seen, memory, **own)
+        return adaptive_inputs(seen, memory, **{name: jnp.asarray(rows)[seen.player] for name, rows in params.items()})
 
-    params = {"gamma": law.gamma} | ({"initial_gain": law.initial_gain} if law.initial_gain.ndim else {})
-    return _law(layout, act, params, law.initial_memory(1)[0])
+    return _law(layout, act, {"gamma": law.gamma, "surplus": law.surplus}, law.initial_memory(1)[0])
 
 
 def grounded(layout: ObservationLayout, kappa: float = 2.0) -> JaxPolicy:

@@ -1,8 +1,6 @@
-"""The paper's law with adaptive gains per link (Theorem 3), also over switching graphs (Theorem 4)."""
+"""The paper's law with adaptive gains per link."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,26 +11,27 @@ from ptne_env.shared.arrays import FloatArray, array_namespace, require_non_nega
 
 
 def adaptive_inputs(
-    observation: Observation, memory: FloatArray, gamma: Any, initial_gain: Any = 0.0
+    observation: Observation, memory: FloatArray, gamma: FloatArray, surplus: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the inputs (..., n) of the adaptive law, and the next memory (..., D) after an Euler step.
 
     u^i = −R_i^T ∂J_i/∂x_i(x^i) − Σ_j κ_ij a_ij (x^i − x^j) and dκ_ij/dτ = γ_ij a_ij ‖x^i − x^j‖², eqs. (36) and (47),
-    where κ_ij is the memory, added to ``initial_gain`` where it holds the growth alone.
+    where κ_ij is the memory and the surplus, by which κ_ij(0) is above the smallest number of the table.
     """
     differences = observation.relative_estimates
-    inputs = consensus((memory + initial_gain) * observation.weights, differences) - observation.gradient
+    inputs = consensus((memory + surplus) * observation.weights, differences) - observation.gradient
     squared = array_namespace(differences).einsum("...dn,...dn->...d", differences, differences)
     growth = gamma * observation.weights * squared * observation.unit**2
     return inputs, memory + observation.theta * growth
 
 
 class Adaptive(Law):
-    """The adaptive law of the paper (Theorem 3; over switching graphs, its Theorem 4), :func:`adaptive_inputs`.
+    """The adaptive law of the paper (Theorem 3), :func:`adaptive_inputs`.
 
-    On a switching topology a_ij is that of the active graph. The gains take an Euler step of Θ_k like the estimates.
-    Both ends of a link see the same differences, so κ_ij = κ_ji needs no message. The memory, per neighbour slot, is
-    κ_ij, or its growth where the κ_ij(0) differ: shape (R, D), in natural units.
+    On a switching topology a_ij is that of the active graph, but convergence (Theorem 4) is proven only where every
+    mode is connected (docs/errata.md, 2). The gains take an Euler step of Θ_k like the estimates. Both ends of a link
+    see the same differences, so κ_ij = κ_ji needs no message. The memory is κ_ij less its surplus per neighbour slot,
+    shape (R, D), in natural units.
 
     Args:
         layout: the layout of the environment.
@@ -48,33 +47,29 @@ class Adaptive(Law):
         self, layout: ObservationLayout, gamma: npt.ArrayLike = 0.01, initial_gain: npt.ArrayLike = 0.5
     ) -> None:
         super().__init__(layout)
-        self.gamma = of_links("gamma", gamma, layout)
-        self.initial_gain = of_links("initial_gain", initial_gain, layout)
+        self.gamma, gains = _of_links("gamma", gamma, layout), _of_links("initial_gain", initial_gain, layout)
+        self.smallest_gain = float(np.min(initial_gain))  # of the table, whatever the links are
+        self.surplus = gains - self.smallest_gain
 
     def initial_memory(self, rows: int) -> FloatArray:
-        """Return κ_ij(0) per neighbour slot, or 0 where they differ; shape (R, D)."""
-        return np.full((rows, self.layout.slots), 0.0 if self.initial_gain.ndim else self.initial_gain)
+        """Return the smallest κ_ij(0) per neighbour slot, shape (R, D)."""
+        return np.full((rows, self.layout.slots), self.smallest_gain)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        gamma = self.gamma[observation.player] if self.gamma.ndim else self.gamma
-        start = self.initial_gain[observation.player] if self.initial_gain.ndim else 0.0
-        return adaptive_inputs(observation, memory, gamma, start)
+        return adaptive_inputs(observation, memory, self.gamma[observation.player], self.surplus[observation.player])
 
     def gains(self, memory: FloatArray) -> FloatArray:
         """Return κ_ij of every link, in both directions."""
         neighbours = np.array(self.layout.neighbours)
-        gains = memory + (self.initial_gain if self.initial_gain.ndim else 0.0)
-        return np.asarray(gains[neighbours != np.arange(len(neighbours))[:, None]])
+        return np.asarray((memory + self.surplus)[neighbours != np.arange(len(neighbours))[:, None]])
 
 
-def of_links(name: str, numbers: npt.ArrayLike, layout: ObservationLayout) -> FloatArray:
-    """Return one number for all links, shape (), or those of a symmetric table (N, N), a row per player: (N, D)."""
+def _of_links(name: str, numbers: npt.ArrayLike, layout: ObservationLayout) -> FloatArray:
+    """Return the numbers of a player's links in each row, (N, D), from one number for all or a table (N, N)."""
     if np.ndim(numbers) == 0:
-        return np.array(require_non_negative(name, numbers))  # type: ignore[arg-type]  # which it checks
-    table, players = np.array(numbers, dtype=np.float64), layout.num_players
-    if table.shape != (players, players) or not np.all(np.isfinite(table) & (table >= 0) & (table == table.T)):
-        raise ValueError(
-            f"{name} is a number of at least 0, or a symmetric table ({players}, {players}) of them, got {numbers!r}"
-        )
+        return np.full((layout.num_players, layout.slots), require_non_negative(name, numbers))  # type: ignore[arg-type]
+    table, shape = np.array(numbers, dtype=np.float64), (layout.num_players,) * 2
+    if table.shape != shape or not np.all(np.isfinite(table) & (table >= 0) & (table == table.T)):
+        raise ValueError(f"{name} is a number of at least 0, or a symmetric table {shape} of them, got {numbers!r}")
     np.fill_diagonal(table, table.max())  # padded slots hold the player itself, with weight 0
-    return table[np.arange(players)[:, None], np.array(layout.neighbours)]
+    return np.take_along_axis(table, np.array(layout.neighbours), axis=1)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from worlds import make_env, while_running, world_and_encoder
 
-from ptne_env import laws
+from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 
 
 def gains_along(env, law, **reset):
@@ -77,6 +77,13 @@ def test_gains_of_links_follow_the_equations_of_theorem_3():
     links = np.sort(kappa[env.world.topology.union.adjacency > 0])
     np.testing.assert_allclose(np.sort(gains), links, rtol=1e-5)
     assert links.max() > 1.2 * table(1).max()
+
+
+def test_a_table_of_gains_passes_the_audit_that_hides_the_links_of_others():
+    law = FactorySpec.of("law:adaptive", gamma=(0.02 * table(0)).tolist(), initial_gain=table(1).tolist())
+    results = evaluate(PolicySpec("table", law), "energy-switching", episodes=2)
+    assert not results.failures
+    assert results.record("energy-switching", "table", "digits")["mean"] > 0.5
 
 
 @pytest.mark.parametrize(
