@@ -48,10 +48,10 @@ core:
 
 # Run the suites and train the policies again, and write every table of README, docs and baselines.
 publish: $(VENV)/.test
-	$(BIN)/python baselines/publish.py
+	$(BIN)/python -m baselines.publish
 
 reproduce: $(VENV)/.bench
-	$(BIN)/python baselines/reproduce.py --out $(OUT)/paper
+	$(BIN)/python -m baselines.reproduce --out $(OUT)/paper
 
 docs: $(VENV)/.docs
 	$(BIN)/sphinx-build --builder html --conf-dir docs --fail-on-warning --jobs auto --quiet . $(OUT)/site
@@ -89,7 +89,7 @@ smoke: dist
 
 # Whether this commit may be tagged and released: says what is missing.
 release-check: dist $(VENV)/.bench
-	PYTHONPATH=baselines $(BIN)/python tests/release_check.py
+	$(BIN)/python -m tests.release_check
 
 # The tests of a Ray cluster of two nodes on this machine, whose second node is killed in the middle.
 ray: $(VENV)/.test

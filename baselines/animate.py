@@ -1,4 +1,4 @@
-"""Animate one episode of every track of ptne-v1: ``python baselines/animate.py`` writes ``docs/images/tracks.gif``.
+"""Animate one episode of every track of ptne-v1: ``python -m baselines.animate`` writes ``docs/images/tracks.gif``.
 
 A panel per track. Left: all players' strategies (thick), the estimates of them by the others (thin) and the equilibrium
 (dotted); the axis is the root of the step, because most happens early. Right: the players and the links that are up.

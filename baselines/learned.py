@@ -1,8 +1,8 @@
 """The policies that were trained through the world: their recipe, their training, and the table ``learned.md``.
 
-    python baselines/learned.py train NAME [--seeds 0,1,2,3,4] [--out runs]   train a recipe; resumes what is unfinished
-    python baselines/learned.py table [--out runs]                            compare, and write ``learned.md``
-    python baselines/learned.py limit                                         digits without a model of the unheard
+    python -m baselines.learned train NAME [--seeds 0,1,2,3,4] [--out runs]   train a recipe; resumes what is unfinished
+    python -m baselines.learned table [--out runs]                            compare, and write ``learned.md``
+    python -m baselines.learned limit                                         digits without a model of the unheard
 
 No world of a suite is trained on: sizes, numbers and fault levels of the generalist's worlds are others, and the worlds
 of the suite ``robustness`` are drawn from another seed.
@@ -18,8 +18,8 @@ from typing import Any
 
 import networkx as nx
 import numpy as np
-from publish import best_law, best_standard, markdown, plain, read, with_interval
 
+from baselines.published import best_law, best_standard, markdown, plain, read, with_interval
 from ptne_env import PolicySpec, evaluate, get_scenario, learn, parallel_env
 from ptne_env.evaluation import Results, get_policy_spec
 from ptne_env.evaluation.tracks import Teammates, Track
@@ -343,7 +343,7 @@ def table(out: Path) -> None:
 
 TEXT = """# Policies that were trained through the world
 
-Written by `python baselines/learned.py table`; `python baselines/learned.py train NAME` trains. Digits with 95 %
+Written by `python -m baselines.learned table`; `python -m baselines.learned train NAME` trains. Digits with 95 %
 intervals on test episodes: 200 of the specialists, 10 of each untrained network, and those of the suites; ± is the
 standard deviation over training seeds, their number in brackets.
 [learning.md](../docs/learning.md#through-the-world) explains the network and its training.
@@ -360,7 +360,7 @@ outputs at the start seed 0 learned nothing in 120 updates, and in 340 at twice 
 {0}
 
 On the physical clock, players who play the exact equilibrium with those that they can hear, in every dwell, have
-{4:.2f} digits (`python baselines/learned.py limit`). For more, a player must predict the responses of players that it
+{4:.2f} digits (`python -m baselines.learned limit`). For more, a player must predict the responses of players that it
 cannot hear, as `observer-relay` does after it has identified the game. The network has learned some of that.
 
 The first had led `observer-relay`, at 11.2 digits. Somebody who did not build the network attacked this lead, and found

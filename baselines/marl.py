@@ -1,11 +1,11 @@
-"""Train the field's algorithms on tracks of ptne-v1: ``python baselines/marl.py [--tracks ...] [--seeds 3] ...``.
+"""Train the field's algorithms on tracks of ptne-v1: ``python -m baselines.marl [--tracks ...] [--seeds 3] ...``.
 
 They come from BenchMARL, Stable-Baselines3 and sb3-contrib; algorithms whose library is missing are left out. BenchMARL
 pins an older TorchRL, so all of them go into a virtual environment of their own::
 
     python -m venv .venv-marl
     .venv-marl/bin/pip install torch==2.13.0 -e '.[sb3]' sb3-contrib==2.9.2 benchmarl==1.5.2
-    OMP_NUM_THREADS=1 .venv-marl/bin/python baselines/marl.py --jobs 2
+    OMP_NUM_THREADS=1 .venv-marl/bin/python -m baselines.marl --jobs 2
 
 A job is an algorithm with a setting on a track with a seed. The folder ``--out`` keeps a file of every finished job and
 checkpoints of the others, so the command can be stopped at any time, and goes on when it is given again. (BenchMARL's
@@ -36,9 +36,9 @@ from typing import Any
 
 import joblib
 import numpy as np
-import publish
 from scipy.stats import trim_mean
 
+from baselines import published
 from ptne_env import PolicySpec, VectorParallelEnv
 from ptne_env.evaluation.comparison import compare
 from ptne_env.shared.files import write_atomically
@@ -409,8 +409,8 @@ def last_fifth(runs: Mapping[str, Any]) -> float:
 
 def lines(track: str) -> dict[str, float]:
     """The published digits of the paper's law and of the best law on a track."""
-    found = publish.read()
-    static, (best, row) = found.cell(SUITE.name, track, "static"), publish.best_law(found, SUITE.name, track)
+    numbers = published.read()
+    static, (best, row) = numbers.cell(SUITE.name, track, "static"), published.best_law(numbers, SUITE.name, track)
     return {"static": float(static["mean"]), best: float(row["mean"])}
 
 
@@ -443,7 +443,7 @@ def page(data: Mapping[str, Any]) -> str:
     marks = {"steps": int(steps), "short": tuning["steps"][0], "long": tuning["steps"][1], "seed": TUNING_SEED}
     marks |= {"tracks": " and ".join(tuning["tracks"]), "finalists": tuning["finalists"], "games": VALIDATION_GAMES}
     headings = ["algorithm", *tasks, "seeds", "trials (chosen)", "seconds (of CPU)", ""]
-    table = publish.markdown(headings, rows)
+    table = published.markdown(headings, rows)
     return TEXT.format(table=table, enough=ENOUGH_TRIALS, flat=FLAT, close=CLOSE, lowest=LOWEST, **marks)
 
 
@@ -451,7 +451,7 @@ TEXT = """# The field's algorithms
 
 Digits of algorithms of [BenchMARL](https://github.com/facebookresearch/BenchMARL) (`ippo` to `masac`),
 [Stable-Baselines3](https://github.com/DLR-RM/stable-baselines3) (`ppo`, `sac`) and sb3-contrib (`recurrent-ppo`) on
-tracks of ptne-v1, after {steps:,} agent-steps each. `python baselines/marl.py` trains them and writes this page; its
+tracks of ptne-v1, after {steps:,} agent-steps each. `python -m baselines.marl` trains them and writes this page; its
 first lines say how to install the libraries. [marl.json](marl.json) holds all runs in the format of
 [marl-eval](https://github.com/instadeepai/marl-eval), under `runs`.
 

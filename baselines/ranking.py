@@ -1,9 +1,9 @@
-"""How much the tracks of ptne-v1 differ, and how sure its ranking is: ``python baselines/ranking.py``.
+"""How much the tracks of ptne-v1 differ, and how sure its ranking is: ``python -m baselines.ranking``.
 
 It prints the pairs of scored tracks with the largest Spearman correlations over the entries with which
 the suite was designed, and Kendall's τ between the rankings of all entries by score with two seeds of the episodes.
 Oracles are no entries. Finished jobs are kept
-in the folder ``--out``, which is that of ``publish.py``, and not run again.
+in the folder ``--out``, which is that of ``publish``, and not run again.
 """
 
 from __future__ import annotations

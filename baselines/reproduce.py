@@ -1,6 +1,6 @@
 """Reproduce the paper: Table I, every figure, and a measured verdict on every claim and erratum.
 
-``python baselines/reproduce.py`` simulates the laws in continuous time, with the matrix exponential as the exact
+``python -m baselines.reproduce`` simulates the laws in continuous time, with the matrix exponential as the exact
 reference where the game is affine. It prints the tables, and writes the figures and ``results.json`` to the folder
 ``--out``. It takes about a minute.
 """
@@ -15,12 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from paper.claims import CLAIMS, Claim
-from paper.errata import ERRATA
-from paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
-from paper.figures import FIGURES, draw
-from paper.table import TableRow, table_one
-
+from baselines.paper.claims import CLAIMS, Claim
+from baselines.paper.errata import ERRATA
+from baselines.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, S_END, Experiments
+from baselines.paper.figures import FIGURES, draw
+from baselines.paper.table import TableRow, table_one
 from ptne_env import __version__
 from ptne_env.cli.console import console, progress
 from ptne_env.report.tables import Cell, Column, Table, text_table

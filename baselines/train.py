@@ -1,4 +1,4 @@
-"""Train every shipped configuration, and ship the policies: ``python baselines/train.py [--out runs]``.
+"""Train every shipped configuration, and ship the policies: ``python -m baselines.train [--out runs]``.
 
 A run that is in the folder already is not repeated. It takes some minutes; each policy goes to
 ``ptne_env/learn/ppo-CONFIGURATION.onnx``.

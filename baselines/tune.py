@@ -1,4 +1,4 @@
-"""Tune the constants of laws on validation episodes of ptne-v1: ``python baselines/tune.py [LAW]...``.
+"""Tune the constants of laws on validation episodes of ptne-v1: ``python -m baselines.tune [LAW]...``.
 
 ``tuned.csv`` beside this file is its output: the best constants found, and beside them those that the entries in
 ``ptne_env/evaluation/named_policies.py`` had before. The score of constants is the mean digits over some tracks, so

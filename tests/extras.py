@@ -13,6 +13,11 @@ def need_onnx():
     return pytest.importorskip("onnxruntime", reason="needs the extra 'bench': pip install 'ptne-env[bench]'")
 
 
+def need_matplotlib():
+    """Skip what asks, unless the extra ``bench`` is installed, for pictures."""
+    return pytest.importorskip("matplotlib", reason="needs the extra 'bench': pip install 'ptne-env[bench]'")
+
+
 def need_jax():
     """Skip what asks, unless the extra ``jax`` is installed."""
     return pytest.importorskip("jax", reason="needs the extra 'jax': pip install 'ptne-env[jax]'")

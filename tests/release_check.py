@@ -6,18 +6,17 @@ import subprocess
 import sys
 from pathlib import Path
 
-import marl
-import publish
+from baselines import marl, published
 
 ROOT = Path(__file__).parents[1]
 
 
 def stale_tables(documents):
     """The names of documents whose tables are not those of the published numbers."""
-    numbers, algorithms = publish.read(), json.loads(marl.DATA.read_text("utf-8"))
+    numbers, algorithms = published.read(), json.loads(marl.DATA.read_text("utf-8"))
     for path in documents:
         text = path.read_text("utf-8")
-        if text != (marl.page(algorithms) if path.name == marl.PAGE.name else publish.filled(text, numbers)):
+        if text != (marl.page(algorithms) if path.name == marl.PAGE.name else published.fill_tables(text, numbers)):
             yield path.name
 
 
@@ -47,9 +46,11 @@ def obstacles(root=ROOT):
     yield from (
         f"The tag {other} stands at this commit, whose version is {version}." for other in tags_here if other != tag
     )
+    for name in published.missing(published.read()):
+        yield f"{name} has no published numbers: run `make publish`."
     yield from (
         f"{name}: the tables are not those of the published numbers: run `make publish`."
-        for name in stale_tables(publish.documents())
+        for name in stale_tables(published.documents())
     )
 
 

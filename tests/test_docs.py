@@ -112,7 +112,7 @@ def parse(arguments):
 
 @pytest.mark.parametrize("document", PAGES, ids=by_path)
 def test_commands_scripts_and_make_targets_exist(document):
-    targets = re.findall(r"^(\w+)(?: \w+)*:", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+    targets = re.findall(r"^([\w-]+)(?: \w+)*:", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
     for first, *words in commands(document):
         if first == "ptne" and len(words) > 1:
             parse(words)
@@ -135,10 +135,10 @@ def test_links_and_named_tests_exist(document):
 
 def exists(file, name):
     """Whether a file of the package or of ``baselines/paper`` exists and, if given, ``name`` is in that module."""
-    package = "" if file.startswith("paper/") else f"{PACKAGE.name}/"
-    if not ((PACKAGE if package else ROOT / "baselines") / file).is_file():
+    path = Path("baselines" if file.startswith("paper/") else PACKAGE.name, file)
+    if not (ROOT / path).is_file():
         return False
-    owner = importlib.import_module(f"{package}{file}".removesuffix(".py").replace("/", "."))
+    owner = importlib.import_module(".".join(path.with_suffix("").parts))
     *parents, last = name.split(".") if name else [None]
     for parent in parents:
         owner = getattr(owner, parent, None)

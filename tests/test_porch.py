@@ -157,10 +157,12 @@ def test_other_tags_and_changes_are_obstacles(release):
     assert ["stands at another commit" in each for each in release_check.obstacles(folder)] == [True]
 
 
-def test_documents_with_other_numbers_are_an_obstacle(release, monkeypatch):
+def test_documents_with_other_numbers_and_policies_without_any_are_obstacles(release, monkeypatch):
     monkeypatch.setattr(release_check, "stale_tables", lambda _: ["README.md"])
+    monkeypatch.setattr(release_check.published, "missing", lambda _: ["static"])
     assert list(release_check.obstacles(release[0])) == [
-        "README.md: the tables are not those of the published numbers: run `make publish`."
+        "static has no published numbers: run `make publish`.",
+        "README.md: the tables are not those of the published numbers: run `make publish`.",
     ]
 
 

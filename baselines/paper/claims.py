@@ -13,8 +13,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy import integrate, linalg
 
-from paper.continuous import Run, prescribed_timeline, simulate
-from paper.experiments import DEADLINE, GAIN, KAPPA, S_END, Experiments
+from baselines.paper.continuous import Run, prescribed_timeline, simulate
+from baselines.paper.experiments import DEADLINE, GAIN, KAPPA, S_END, Experiments
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.theory import LemmaViolationError, check_time_transformation, closed_loop_matrix, spectral_abscissa
 from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational

@@ -10,10 +10,10 @@ import networkx as nx
 import numpy as np
 from scipy import integrate
 
-from paper.claims import VANISHED, Check, Claim, decided, near_deadline, slope
-from paper.continuous import Run, exact_static, plain_timeline, simulate
-from paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, KAPPA, SMALL_GAMMA, Experiments
-from paper.table import labelled_graphs, misfits
+from baselines.paper.claims import VANISHED, Check, Claim, decided, near_deadline, slope
+from baselines.paper.continuous import Run, exact_static, plain_timeline, simulate
+from baselines.paper.experiments import DEADLINE, GAIN, GAMMA, INITIAL_GAIN, KAPPA, SMALL_GAMMA, Experiments
+from baselines.paper.table import labelled_graphs, misfits
 from ptne_env import FactorySpec, get_scenario
 from ptne_env.games import NonQuadraticGame, QuadraticGame
 from ptne_env.shared.arrays import FloatArray

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from paper.continuous import Run, exact_static, plain_timeline, prescribed_timeline, simulate
+from baselines.paper.continuous import Run, exact_static, plain_timeline, prescribed_timeline, simulate
 from ptne_env.games import EnergyGame, Game, NonQuadraticGame, QuadraticGame
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.theory import MonotonicityConstants, closed_loop_matrix, gain_bound, monotonicity_constants

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import networkx as nx
 import numpy as np
 
-from paper.continuous import Run
-from paper.experiments import DEADLINE, DWELLS, GAIN, GAMMA, HOLD, KAPPA, Experiments
+from baselines.paper.continuous import Run
+from baselines.paper.experiments import DEADLINE, DWELLS, GAIN, GAMMA, HOLD, KAPPA, Experiments
 from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
 from ptne_env.world.clock import Exponential
 from ptne_env.world.graphs import Graph, cycle

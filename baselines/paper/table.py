@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from paper.experiments import DEADLINE, GAIN, KAPPA, Experiments
+from baselines.paper.experiments import DEADLINE, GAIN, KAPPA, Experiments
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.theory import closed_loop_matrix
 from ptne_env.world.graphs import Graph

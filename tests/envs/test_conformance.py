@@ -5,6 +5,7 @@ from functools import partial
 from types import SimpleNamespace
 
 import pytest
+from extras import need_matplotlib
 from worlds import BLOCKS_SWITCHING
 
 from ptne_env.envs.parallel import aec_env, parallel_env
@@ -50,5 +51,5 @@ def test_max_cycles(name):
 
 
 def test_rendering():
-    pytest.importorskip("matplotlib", reason="needs the extra 'bench': pip install 'ptne-env[bench]'")
+    need_matplotlib()
     render_test(partial(aec_env, "energy"))

@@ -3,7 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
-from extras import need_sb3
+from extras import need_matplotlib, need_sb3
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from worlds import BLOCKS, make_env
@@ -32,7 +32,7 @@ def test_make_finds_every_scenario_by_module_and_id(name):
 
 @pytest.mark.parametrize("name", ["energy", "random-energy-switching-transformed"])
 def test_checkers_of_gymnasium_and_sb3_pass_without_a_warning(name):
-    pytest.importorskip("matplotlib", reason="needs the extra 'bench': pip install 'ptne-env[bench]'")  # they render
+    need_matplotlib()  # they render
     env = gymnasium.make(f"ptne_env:ptne/{name}-joint-v0", steps=150)
     check_env(env.unwrapped)  # a warning would be an error
     check_env_of_sb3(env.unwrapped)

@@ -3,9 +3,13 @@ import signal
 
 import numpy as np
 import pytest
+from extras import need_matplotlib
+from worlds import BLOCKS, constant_actions, make_env
+
+need_matplotlib()
+
 from matplotlib import pyplot as plt
 from matplotlib.transforms import Affine2DBase
-from worlds import BLOCKS, constant_actions, make_env
 
 
 def picture(name, steps=0, action=1.0):

@@ -1,6 +1,7 @@
 import pytest
-import reproduce
-from paper import Experiments
+
+from baselines import reproduce
+from baselines.paper import Experiments
 
 
 @pytest.fixture(scope="session")

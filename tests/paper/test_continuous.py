@@ -2,9 +2,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from paper.continuous import exact_static, plain_timeline, prescribed_timeline, simulate
 from scipy import integrate, linalg
 
+from baselines.paper.continuous import exact_static, plain_timeline, prescribed_timeline, simulate
 from ptne_env.games import EnergyGame
 from ptne_env.theory import closed_loop_matrix
 from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational

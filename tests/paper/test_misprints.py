@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paper.experiments import DEADLINE, GAIN, GAMMA
 from proof import proof_matrix
 
+from baselines.paper.experiments import DEADLINE, GAIN, GAMMA
 from ptne_env.theory.constants import jacobian_at_equilibrium
 from ptne_env.world.graphs import cycle
 

@@ -2,9 +2,10 @@ import json
 import xml.etree.ElementTree as ET
 
 import pytest
-from paper import Claim, TableRow
-from paper.figures import FIGURES, draw
-from reproduce import CHECKS, Reproduction, paper_tables, reproduce
+
+from baselines.paper import Claim, TableRow
+from baselines.paper.figures import FIGURES, draw
+from baselines.reproduce import CHECKS, Reproduction, paper_tables, reproduce
 
 
 def test_every_figure_is_written(reproduction):

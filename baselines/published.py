@@ -1,0 +1,275 @@
+"""The published numbers of ``results.csv``, and every table of README, docs and this folder that shows them."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from statistics import fmean
+from typing import get_args
+
+from ptne_env import CATALOGUE
+from ptne_env.evaluation import ENTERED, POLICIES
+from ptne_env.evaluation.metrics import number
+from ptne_env.perception.encoder import Encoder
+from ptne_env.perception.fields import FIELDS, InterfaceKind
+from ptne_env.suites.robustness import robustness
+from ptne_env.world.world import World
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "baselines" / "results.csv"
+ALGORITHMS = ROOT / "baselines" / "marl.json"
+WORLDS = {"robustness": robustness(1), "robustness-2": robustness(2)}
+"""The random worlds: seen and fresh."""
+
+TRAINED = "recurrent-random-worlds"
+SHOWN = (
+    *("static", "grounded", "routed-unknown", "contact-relay", "observer-relay", "residual-coder"),
+    *("ppo-ptne-v1", TRAINED, "oracle"),
+)
+"""The policies of the short table of the suite."""
+
+SHOWN_ON_WORLDS = ("static", "grounded", "proximal-best-response", "routed-unknown", "contact-relay", "observer-relay")
+SHOWN_ON_SCENARIOS = ("static", "grounded", "routed-unknown", "observer-relay", "ppo-random-energy", "oracle")
+NEAR = 0.5
+"""Digits by which a policy may miss the best one and is near."""
+
+ALL = "all"
+"""The track of scores, which are over all tracks."""
+
+Row = dict[str, str]
+
+
+class Published:
+    """The rows of ``results.csv``."""
+
+    def __init__(self, rows: Sequence[Row]) -> None:
+        self.rows = rows
+        self._cells = {(row["suite"], row["track"], row["policy"], row["metric"]): row for row in rows}
+
+    def names(self, key: str, suite: str) -> list[str]:
+        """The tracks or policies of a suite, in the order of the file."""
+        return list(dict.fromkeys(row[key] for row in self.rows if row["suite"] == suite and row["track"] != ALL))
+
+    def cell(self, suite: str, track: str, policy: str, metric: str = "digits") -> Row | None:
+        """A number on a track, or over all (:data:`ALL`)."""
+        return self._cells.get((suite, track, policy, metric))
+
+    def ranked(self, suite: str, track: str) -> list[str]:
+        """The policies that act on a track, the best first: by digits to two decimals, then by mean regret."""
+
+        def key(policy: str) -> tuple[float, float]:
+            regret = self.cell(suite, track, policy, "mean_regret")
+            return -digits[policy], math.inf if regret is None else float(regret["mean"])
+
+        cells = {policy: self.cell(suite, track, policy) for policy in self.names("policy", suite)}
+        digits = {policy: round(float(cell["mean"]), 2) for policy, cell in cells.items() if cell is not None}
+        return sorted(digits, key=key)
+
+
+def plain(row: Row | None) -> str:
+    """The mean; a dash where there is none."""
+    return "–" if row is None else f"{float(row['mean']):.2f}"
+
+
+def with_interval(row: Row | None) -> str:
+    """The mean with its 95 % interval."""
+    if row is None:
+        return "–"
+    mean, low, high = (f"{float(row[key]):.2f}" for key in ("mean", "low", "high"))
+    return mean if low == high else f"{mean} [{low}, {high}]"
+
+
+def markdown(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table whose first column is text."""
+    return "\n".join(
+        f"| {' | '.join(cells)} |" for cells in (headings, ["---", *["---:"] * (len(headings) - 1)], *rows)
+    )
+
+
+def regret(row: Row | None) -> str:
+    """A mean regret with three significant digits; a dash where there is none."""
+    return "–" if row is None else number(float(row["mean"]))
+
+
+def by_track(numbers: Published, suite: str, policies: Sequence[str]) -> str:
+    """A row per track and a column per policy; of a suite also the scores and mean regrets over all scored tracks."""
+    rows = [
+        [track, *(plain(numbers.cell(suite, track, policy)) for policy in policies)]
+        for track in numbers.names("track", suite)
+    ]
+    if numbers.cell(suite, ALL, policies[0], "score") is not None:
+        rows.append(["**score**", *(plain(numbers.cell(suite, ALL, policy, "score")) for policy in policies)])
+        rows.append(["mean regret", *(regret(numbers.cell(suite, ALL, policy, "mean_regret")) for policy in policies)])
+    return markdown([suite.replace("comparison", "scenario"), *policies], rows)
+
+
+def best_law(numbers: Published, suite: str, track: str, without: str = "") -> tuple[str, Row]:
+    """The best law of a track, perhaps but one, and its digits."""
+    metric = "score" if track == ALL else "digits"
+    laws = [name for name in numbers.names("policy", suite) if POLICIES[name].is_law and name != without]
+    cells = {name: numbers.cell(suite, track, name, metric) for name in laws}
+    rows = {name: cell for name, cell in cells.items() if cell is not None}
+    return max(rows.items(), key=lambda item: float(item[1]["mean"]))
+
+
+def best_standard(numbers: Published, track: str) -> str:
+    """The best policy of a standard algorithm: the shipped PPO, or on some tracks those of ``marl.json``."""
+    row = numbers.cell("ptne-v1", track, "ppo-ptne-v1", "score" if track == ALL else "digits")
+    digits = {} if row is None else {"ppo": float(row["mean"])}
+    trained = json.loads(ALGORITHMS.read_text(encoding="utf-8"))["runs"]["ptne-v1"]
+    for name, runs in trained.get(track, {}).items():
+        mean = fmean(fmean(run["absolute_metrics"]["digits"]) for run in runs.values())
+        digits[name] = max(mean, digits.get(name, mean))
+    name = max(digits, key=lambda name: digits[name], default="")
+    return f"{digits[name]:.2f} {name}" if name else "–"
+
+
+def headline(numbers: Published) -> str:
+    """The paper's law, the best law, the best standard algorithm and the recurrent network on each track of ptne-v1."""
+    rows = []
+    for track in (*numbers.names("track", "ptne-v1"), ALL):
+        name, best = best_law(numbers, "ptne-v1", track)
+        ours = [numbers.cell("ptne-v1", track, policy, best["metric"]) for policy in ("static", TRAINED)]
+        cells = [plain(ours[0]), f"{plain(best)} {name}", best_standard(numbers, track), plain(ours[1])]
+        rows.append(["**score**" if track == ALL else track, *cells])
+    return markdown(
+        ["track", "the paper's law", "best law", "best standard algorithm", "trained through the world"], rows
+    )
+
+
+def overall(numbers: Published) -> str:
+    """Scores, mean regrets and ranks of all policies on ptne-v1."""
+    rows = [
+        [
+            row["policy"],
+            with_interval(row),
+            regret(numbers.cell("ptne-v1", ALL, row["policy"], "mean_regret")),
+            plain(numbers.cell("ptne-v1", ALL, row["policy"], "rank")),
+        ]
+        for row in numbers.rows
+        if (row["suite"], row["metric"]) == ("ptne-v1", "score")
+    ]
+    return markdown(["policy", "score", "mean regret", "mean rank"], rows)
+
+
+def best_on(numbers: Published, suite: str, world: str) -> tuple[str, float]:
+    """The policy with the most digits on a random world, oracles apart, and its digits."""
+    cells = {name: numbers.cell(suite, world, name) for name in numbers.names("policy", suite) if name != "oracle"}
+    digits = {name: float(cell["mean"]) for name, cell in cells.items() if cell is not None}
+    return max(digits.items(), key=lambda item: item[1])
+
+
+def fails(numbers: Published, suite: str, world: str, policy: str) -> bool:
+    """Whether a policy is worse than the paper's law by more than both intervals, or diverges more often."""
+    cells = [
+        {metric: numbers.cell(suite, world, name, metric) for metric in ("digits", "diverged_share")}
+        for name in (policy, "static")
+    ]
+    own, law = ({metric: cell for metric, cell in each.items() if cell is not None} for each in cells)
+    is_worse = float(own["digits"]["high"]) < float(law["digits"]["low"])
+    return is_worse or float(own["diverged_share"]["mean"]) > float(law["diverged_share"]["mean"])
+
+
+def shortfalls(numbers: Published, suite: str) -> str:
+    """How far each policy stays behind the best one of each random world, the least worst shortfall first."""
+    rows = []
+    for policy in numbers.names("policy", suite):
+        behind, failures = [], 0
+        for world in numbers.names("track", suite):
+            cell = numbers.cell(suite, world, policy)
+            if cell is not None and policy != "oracle":
+                behind.append(best_on(numbers, suite, world)[1] - float(cell["mean"]))
+                failures += fails(numbers, suite, world, policy)
+        if behind:
+            near = sum(shortfall <= NEAR for shortfall in behind)
+            mean, worst = sum(behind) / len(behind), max(behind)
+            rows.append((mean, [policy, f"{near} of {len(behind)}", f"{mean:.2f}", f"{worst:.2f}", str(failures)]))
+    headings = ["policy", f"within {NEAR} of the best", "mean shortfall", "worst shortfall", "failures"]
+    return markdown(headings, [row for _, row in sorted(rows)])
+
+
+def worlds(numbers: Published, suite: str) -> str:
+    """A row per random world: its description, the digits of some policies, and the best policy."""
+    rows = []
+    for track in WORLDS[suite].tracks:
+        name, digits = best_on(numbers, suite, track.name)
+        shown = [plain(numbers.cell(suite, track.name, policy)) for policy in SHOWN_ON_WORLDS]
+        rows.append([f"{track.name}: {track.change}", *shown, f"{name} {digits:.2f}"])
+    return markdown(["world", *SHOWN_ON_WORLDS, "best"], rows)
+
+
+def all_policies(numbers: Published, suite: str) -> str:
+    """All policies on every track, the best first: digits with intervals, and mean regrets."""
+    rows = [
+        [
+            track,
+            policy,
+            with_interval(numbers.cell(suite, track, policy)),
+            regret(numbers.cell(suite, track, policy, "mean_regret")),
+        ]
+        for track in numbers.names("track", suite)
+        for policy in numbers.ranked(suite, track)
+    ]
+    return markdown([suite.replace("comparison", "scenario"), "policy", "digits", "mean regret"], rows)
+
+
+def fields(_: Published) -> str:
+    """The fields of the observation, and where they are under each kind of interface, in ``energy``."""
+    kinds = get_args(InterfaceKind)
+    slices = [Encoder(World(CATALOGUE["energy"]), kind).layout.slices for kind in kinds]
+    rows = [["Slice", "Size", *(f"`{kind}`" for kind in kinds), "Content"], ["---"] * (len(kinds) + 3)]
+    for name, field in FIELDS.items():
+        places = [f"{part[name].start}:{part[name].stop}" if name in part else "–" for part in slices]
+        rows.append([f"`{name}`", field.size, *places, field.content])
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
+
+
+TABLES: dict[str, Callable[[Published], str]] = {
+    "fields": fields,
+    "headline": headline,
+    "ptne-v1": lambda numbers: by_track(numbers, "ptne-v1", SHOWN),
+    "ptne-v1-overall": overall,
+    "ptne-v1-tracks": lambda numbers: all_policies(numbers, "ptne-v1"),
+    "robustness": lambda numbers: shortfalls(numbers, "robustness"),
+    "robustness-fresh": lambda numbers: shortfalls(numbers, "robustness-2"),
+    "robustness-worlds": lambda numbers: worlds(numbers, "robustness"),
+    "robustness-fresh-worlds": lambda numbers: worlds(numbers, "robustness-2"),
+    "catalogue": lambda numbers: by_track(numbers, "comparison", SHOWN_ON_SCENARIOS),
+    "catalogue-all": lambda numbers: all_policies(numbers, "comparison"),
+}
+"""The tables by name."""
+
+
+def fill_tables(text: str, numbers: Published) -> str:
+    """A document with its tables.
+
+    Raises:
+        KeyError: for a table of an unknown name.
+    """
+    return re.sub(
+        r"(<!-- table ([\w-]+) -->\n).*?(<!-- end -->)",
+        lambda match: f"{match[1]}{TABLES[match[2]](numbers)}\n{match[3]}",
+        text,
+        flags=re.DOTALL,
+    )
+
+
+def missing(numbers: Published) -> list[str]:
+    """The named policies and the scenarios that have no published numbers yet."""
+    known = {row[key] for row in numbers.rows for key in ("policy", "track")}
+    return [name for name in (*ENTERED, *CATALOGUE) if name not in known]
+
+
+def documents() -> list[Path]:
+    """The documents with tables."""
+    return [ROOT / "README.md", *sorted(ROOT.glob("docs/*.md")), *sorted(ROOT.glob("baselines/*.md"))]
+
+
+def read() -> Published:
+    """The published numbers."""
+    with RESULTS.open(encoding="utf-8", newline="") as file:
+        return Published(list(csv.DictReader(file)))
