@@ -372,18 +372,25 @@ class FactorySpec:
         """The inverse of :meth:`to_dict`.
 
         Raises:
-            ValueError: unless the keys are ``target``, a string, and optionally ``arguments``, an object, or when
-                parts are nested too deeply.
+            ValueError: unless the keys are ``target``, a string, and optionally ``arguments``, an object or its
+                pairs, as ``dataclasses.asdict`` and so the JSON of Gymnasium's specs have them; or when parts are
+                nested too deeply.
         """
         if not {"target"} <= set(data) <= {"target", "arguments"}:
             raise ValueError(f"a part is an object with 'target' and 'arguments', got the keys {sorted(data)}")
         target, arguments = data["target"], data.get("arguments", {})
+        if isinstance(arguments, list | tuple) and all(_is_pair(item) for item in arguments):
+            arguments = dict(arguments)
         if not (isinstance(target, str) and isinstance(arguments, Mapping)):
             raise ValueError(f"a part has a string 'target' and an object 'arguments', got {dict(data)!r}")
         try:
             return cls.of(target, **arguments)
         except RecursionError:
             raise ValueError(f"the arguments of part {target!r} are nested too deeply") from None
+
+
+def _is_pair(item: Any) -> bool:
+    return isinstance(item, list | tuple) and len(item) == 2 and isinstance(item[0], str)
 
 
 def _unpickle(target: str, arguments: tuple[tuple[str, Any], ...], definition: Any) -> FactorySpec:

@@ -18,7 +18,7 @@ class Graph(Part):
     """An undirected weighted graph on players 0..N−1.
 
     Attributes:
-        adjacency: a_ij, read-only, of shape (N, N), symmetric, a_ij ≥ 0, zero diagonal.
+        adjacency: a_ij, read-only, of shape (N, N), symmetric up to rounding, a_ij ≥ 0, zero diagonal.
 
     Raises:
         ValueError: when the matrix is not of this form.
@@ -37,9 +37,9 @@ class Graph(Part):
             raise ValueError("an adjacency matrix has finite weights a_ij ≥ 0")
         if np.any(np.diagonal(matrix)):
             raise ValueError("the graphs of the paper have no self-loops: the adjacency diagonal must be 0")
-        if not np.array_equal(matrix, matrix.T):
+        if not np.allclose(matrix, matrix.T, rtol=1e-12, atol=0):
             raise ValueError("the graphs of the paper are undirected: the adjacency matrix must be symmetric")
-        vars(self)["adjacency"] = matrix
+        vars(self)["adjacency"] = freeze(np.maximum(matrix, matrix.T))
 
     @property
     def num_players(self) -> int:
@@ -55,12 +55,12 @@ class Graph(Part):
     def algebraic_connectivity(self) -> float:
         """λ2(L), positive exactly when the graph is connected; rounding is cut to 0."""
         second = float(np.linalg.eigvalsh(self.laplacian)[1])
-        return second if second > 1e-10 * max(1.0, float(self.laplacian.max())) else 0.0
+        return second if second > 1e-10 * float(self.laplacian.max()) else 0.0
 
     @cached_property
     def is_connected(self) -> bool:
         """Assumption 1 of the paper."""
-        return int(connected_components(self.adjacency, directed=False, return_labels=False)) == 1
+        return int(connected_components(self.adjacency > 0, directed=False, return_labels=False)) == 1
 
     @property
     def largest_degree(self) -> int:
@@ -77,8 +77,8 @@ class Graph(Part):
 
 
 def cycle(players: int) -> Graph:
-    """Return the cycle 0-1-…-(N−1)-0, N ≥ 3."""
-    return from_networkx(nx.cycle_graph(require_count("players", players, 3)))
+    """Return the cycle 0-1-…-(N−1)-0, which is a single link for N = 2; N ≥ 2."""
+    return from_networkx(nx.cycle_graph(require_count("players", players, 2)))
 
 
 def path(players: int) -> Graph:
@@ -124,10 +124,22 @@ def from_networkx(graph: nx.Graph[int]) -> Graph:
 def adjacency(graph: nx.Graph[Any]) -> FloatArray:
     """Return the weights a_ij of a graph of networkx, (N, N); the attribute ``weight`` is 1 where it is missing.
 
-    Nodes 0 to N − 1 are these players; nodes of other names are players in the order in which they were added.
+    Players are the nodes in the order of their labels, which are numbers, or texts of numbers such as "3".
+
+    Raises:
+        ValueError: when a label is no number, or two are the same number.
     """
-    is_numbered = set(graph) == set(range(len(graph)))
-    return nx.to_numpy_array(graph, nodelist=range(len(graph)) if is_numbered else None)
+    try:
+        nodes = {float(label): label for label in graph}
+    except (TypeError, ValueError):
+        nodes = {}
+    if len(nodes) < len(graph) or not np.all(np.isfinite(list(nodes))):
+        raise ValueError(
+            f"the players of a graph are its nodes in the order of their labels, which must be different numbers, got "
+            f"{list(graph)[:5]!r}; networkx.convert_node_labels_to_integers(graph) numbers them in the order in which "
+            "they were added"
+        )
+    return nx.to_numpy_array(graph, nodelist=[nodes[number] for number in sorted(nodes)])
 
 
 def union(graphs: Iterable[Graph]) -> Graph:

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ptne_env.shared.arrays import require_printable
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import PARTS, FactorySpec, Part
@@ -28,6 +26,8 @@ _ARRAYS = {
 }
 """The parts that an array makes: their target, and the argument that is the array."""
 
+_OTHERS = {"topology": ", an adjacency matrix, a graph of networkx", "start": ", an array (N, n)"}
+
 
 def _as_spec(field: str, value: Any) -> FactorySpec:
     """Return the spec that a value of a field stands for."""
@@ -43,10 +43,11 @@ def _as_spec(field: str, value: Any) -> FactorySpec:
         from ptne_env.world.graphs import adjacency
 
         value = adjacency(value)
-    if not (isinstance(value, np.ndarray | list | tuple) and field in _ARRAYS):
+    value = value.toarray() if hasattr(value, "toarray") else value  # a sparse matrix
+    if not (isinstance(value, list | tuple) or hasattr(value, "__array__")) or field not in _ARRAYS:
         raise ValueError(
             f"{field} is an object of the library's class for it, the id of a part, a 'module:object' string or a "
-            f"FactorySpec, got a {type(value).__name__}"
+            f"FactorySpec{_OTHERS.get(field, '')}, got a {type(value).__name__}"
         )
     target, argument = _ARRAYS[field]
     return FactorySpec.of(target, **{argument: value})
@@ -76,8 +77,8 @@ class Scenario:
         game: builds a :class:`~ptne_env.games.Game`, or a :class:`~ptne_env.games.GameFamily` of which every episode
             draws one game.
         topology: builds a :class:`~ptne_env.world.switching.SwitchingTopology` on the game's players, or a
-            :class:`~ptne_env.world.graphs.Graph` that never changes; also its array a_ij, (N, N), or a graph of
-            networkx, whose nodes 0 to N − 1 are the players, and whose attribute ``weight`` is a_ij.
+            :class:`~ptne_env.world.graphs.Graph` that never changes; also its matrix a_ij, (N, N), or a graph of
+            networkx, whose players are its nodes in the order of their numbers, and whose attribute ``weight`` is a_ij.
         start: builds a :class:`~ptne_env.world.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20));
             also an array (N, n), row i being x^i(0).
         transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``.

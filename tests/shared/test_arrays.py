@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from extras import need_jax
 
-from ptne_env.shared.arrays import fold, ordered_sum, row_maxima
+from ptne_env.shared.arrays import fold, ordered_sum, round_to_integers, row_maxima
 
 SHAPES = [(5, 1), (5, 63), (5, 64), (3, 4, 50), (400, 70), (1, 200), (20, 2000, 3)]
 
@@ -35,3 +36,11 @@ def test_row_maxima_are_those_of_numpy_with_nan_and_infinity(length):
 def test_fold_reduces_booleans_by_the_operation_of_its_name():
     flags = np.random.default_rng(2).random((50, 4, 6)) > 0.7
     np.testing.assert_array_equal(fold(np.logical_or, flags, axis=1), flags.any(axis=1))
+
+
+def test_rounding_has_the_gradient_of_no_rounding():
+    jax = need_jax()
+    numbers = np.array([-2.6, -0.4, 0.5, 1.5, 7.0], dtype=np.float32)
+    assert np.array_equal(round_to_integers(jax.numpy.asarray(numbers)), round_to_integers(numbers))
+    gradient = jax.grad(lambda array: (round_to_integers(array) * numbers).sum())(numbers)
+    assert np.array_equal(gradient, numbers)

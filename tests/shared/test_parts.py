@@ -87,6 +87,15 @@ def test_arguments_of_the_caller_are_named_too():
         FactorySpec.of("builtins:range").build(layout=5)
 
 
+def test_a_spec_survives_the_dictionaries_of_dataclasses_whose_arguments_are_pairs():
+    noise = FactorySpec.of("channel:noise", std=0.1)
+    for spec in (noise, FactorySpec.of("channel:chain", stages=[noise, FactorySpec.of("channel:perfect")])):
+        assert FactorySpec.from_dict(json.loads(json.dumps(dataclasses.asdict(spec)))) == spec
+    for arguments in ([1, 2], [[1, 2]], ["ab"], "ab"):
+        with pytest.raises(ValueError, match="a string 'target' and an object 'arguments'"):
+            FactorySpec.from_dict({"target": "channel:noise", "arguments": arguments})
+
+
 @pytest.mark.parametrize("data", [{}, {"target": "a:b", "argument": {}}, {"arguments": {}}])
 def test_unknown_or_missing_keys_are_refused(data):
     with pytest.raises(ValueError, match="'target' and 'arguments'"):

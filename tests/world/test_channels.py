@@ -16,7 +16,7 @@ from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.observation import Interface
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import dynamics
-from ptne_env.world.channels import Chain, Channel, LinkRandomness, Messages
+from ptne_env.world.channels import Chain, Channel, LinkRandomness, Lying, Messages
 from ptne_env.world.world import World
 
 FALSE_ALARM = 1e-6
@@ -196,6 +196,19 @@ def test_one_player_lies_about_components_of_others_alone(scenario):
     assert liars == set(range(world.game.num_players))
     assert 2.5 < np.abs(told).max() < 3
     assert stats.kstest(told, stats.uniform(-3, 6).cdf).pvalue > FALSE_ALARM
+
+
+def test_the_offset_of_a_liar_does_not_depend_on_who_lies():
+    batch = 4000
+    keys = np.random.default_rng(0).integers(0, 2**64, batch, dtype=np.uint64)
+    sent = constant_messages(batch, value=0.0)
+    randomness = LinkRandomness(keys, np.zeros(batch, dtype=np.int64), SENDERS, np.arange(5))
+    received, _ = Lying(3.0).transmit(sent, None, randomness)
+    offsets = received.values.sum(axis=(0, 2)) / 2  # each player sends to two neighbours
+    liars = np.argmin(np.abs(offsets), axis=0)  # the own component is not changed
+    for component in range(5):
+        others = liars != component
+        assert stats.pearsonr(liars[others], offsets[component, others]).pvalue > FALSE_ALARM
 
 
 def constant_messages(batch=400, slots=2, dimension=5, players=5, value=3.0):

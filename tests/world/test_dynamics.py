@@ -8,7 +8,8 @@ from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, large_energy_scenari
 
 from ptne_env import FactorySpec, get_scenario
 from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.world import dynamics
+from ptne_env.world import dynamics, graphs, switching
+from ptne_env.world.channels import Range
 from ptne_env.world.world import RANGE_LIMIT, World
 
 AFFINE = {
@@ -175,6 +176,35 @@ def test_graph_of_a_step_is_the_one_at_its_start(name):
         seen.add(mode)
         state = dynamics.step(world, state, np.zeros_like(state.estimates))
     assert seen == {0, 1, 2, 3}
+
+
+def test_random_graph_of_a_step_is_the_one_at_its_start():
+    pool = [graphs.cycle(5), graphs.path(5), graphs.star(5)]
+    world = World(get_scenario("energy", topology=switching.RandomTopology(pool, (0.1, 0.2)), channel=Range(50.0)))
+    streams = [RandomStreams.from_seed(seed).graph for seed in range(8)]
+    schedule = world.topology.draw(world.clock.t, streams)
+    state, changes = begin(world, range(8)), np.diff(schedule.modes, axis=0)
+    for k in range(world.clock.total_steps):
+        assert np.array_equal(dynamics.active_mode(world, state), schedule.modes[k])
+        assert dynamics.time_since_switch(world, state) == pytest.approx(schedule.time_since_switch[k], abs=1e-6)
+        weights = np.stack([world.mode_weights[..., mode] for mode in schedule.modes[k]], axis=-1)
+        assert np.array_equal(dynamics.weights(world, state), weights)
+        state = dynamics.step(world, state, np.zeros_like(state.estimates))
+    assert np.count_nonzero(changes) > 20
+
+
+def test_a_merged_state_goes_on_as_its_environments_do_alone():
+    world = World(FAULTY)
+    old, fresh = begin(world, [0, 1, 2, 3]), begin(world, [4, 5])
+    for _ in range(5):
+        old = dynamics.step(world, old, np.ones_like(old.estimates))
+    mask = np.array([False, True, False, True])
+    merged = dynamics.merge(old, fresh, mask)
+    for name in STATE_ARRAYS:
+        whole, before, new = (quantity(world, state, name) for state in (merged, old, fresh))
+        assert np.array_equal(whole[..., mask], new), name
+        assert np.array_equal(whole[..., ~mask], before[..., ~mask]), name
+    assert not np.array_equal(merged.own_gradients, old.own_gradients)
 
 
 def test_step_leaves_its_arguments_alone():

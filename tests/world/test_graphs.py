@@ -60,8 +60,39 @@ def test_a_graph_of_networkx_keeps_its_weights_and_numbered_players():
     graph.add_edge(0, 2, weight=2.5)
     ours = graphs.from_networkx(graph)
     assert ours.adjacency.tolist() == [[0, 0, 2.5], [0, 0, 1], [2.5, 1, 0]]
-    named = graphs.from_networkx(nx.relabel_nodes(graph, {2: "hub", 1: "one", 0: "two"}))
-    assert named.adjacency.tolist() == [[0, 1, 2.5], [1, 0, 0], [2.5, 0, 0]]
+
+
+@pytest.mark.parametrize("label", [lambda player: player + 1, str, lambda player: float(-9 + player), "0{}".format])
+def test_players_of_a_graph_of_networkx_are_its_nodes_in_the_order_of_their_numbers(label):
+    graph = nx.star_graph(11)
+    shuffled = nx.Graph(sorted(graph.edges, key=lambda edge: -edge[1]))  # nodes are added in another order
+    assert graphs.from_networkx(nx.relabel_nodes(shuffled, label)) == graphs.star(12)
+
+
+@pytest.mark.parametrize("edges", [[("hub", "one"), ("hub", "two")], [(0, 1), (1, "0")], [(0, 1), (1, float("nan"))]])
+def test_a_graph_of_networkx_whose_nodes_have_no_numbers_is_refused(edges):
+    with pytest.raises(ValueError, match="convert_node_labels_to_integers"):
+        graphs.from_networkx(nx.Graph(edges))
+
+
+@pytest.mark.parametrize("scale", [1e-150, 1e-11, 1e150])
+def test_tolerances_are_relative_to_the_weights(scale):
+    graph = Graph(scale * graphs.cycle(5).adjacency)
+    assert graph.is_connected
+    assert graph.algebraic_connectivity == pytest.approx(scale * graphs.cycle(5).algebraic_connectivity, rel=1e-9)
+    apart = Graph(scale * graphs.from_edges(5, [(0, 1), (1, 2), (3, 4)]).adjacency)
+    assert not apart.is_connected
+    assert apart.algebraic_connectivity == 0
+    rounded = scale * graphs.cycle(5).adjacency
+    rounded[0, 1] = np.nextafter(rounded[0, 1], np.inf)
+    assert np.array_equal(Graph(rounded).adjacency, np.maximum(rounded, rounded.T))
+    rounded[0, 1] *= 1 + 1e-9
+    with pytest.raises(ValueError, match="symmetric"):
+        Graph(rounded)
+
+
+def test_a_cycle_of_two_players_is_their_link():
+    assert graphs.cycle(2) == graphs.path(2)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +118,7 @@ def test_edge_outside_the_players_is_refused(edge):
         graphs.from_edges(3, [edge])
 
 
-@pytest.mark.parametrize(("name", "players"), [("cycle", 2), ("path", 1), ("star", 1), ("complete", 0)])
+@pytest.mark.parametrize(("name", "players"), [("cycle", 1), ("path", 1), ("star", 1), ("complete", 0)])
 def test_too_few_players_are_refused(name, players):
     with pytest.raises(ValueError, match="at least"):
         getattr(graphs, name)(players)

@@ -70,10 +70,23 @@ def test_families_have_any_number_of_players_and_graphs_come_from_networkx_and_a
     world = World(get_scenario("random-energy", players=7))
     assert (world.game.num_players, world.topology.graphs) == (7, (cycle(7),))
     graph = nx.complete_graph(7)
-    given = [get_scenario("random-energy", players=7, topology=each) for each in (graph, nx.to_numpy_array(graph))]
-    given.append(get_scenario("random-energy", players=7, topology=nx.to_numpy_array(graph).tolist()))
-    assert given == [given[0]] * 3
-    assert World(given[0]).topology.graphs == (complete(7),)
+    matrix = nx.to_numpy_array(graph)
+    scenarios = [
+        get_scenario("random-energy", players=7, topology=topology)
+        for topology in (graph, matrix, matrix.tolist(), nx.adjacency_matrix(graph))
+    ]
+    assert scenarios == [scenarios[0]] * 4
+    assert World(scenarios[0]).topology.graphs == (complete(7),)
+
+
+def test_an_object_that_is_no_topology_is_refused_and_the_message_names_matrices_and_graphs():
+    with pytest.raises(ValueError, match=r"topology is .*, an adjacency matrix, a graph of networkx, got a set"):
+        get_scenario("random-energy", topology={1, 2})
+
+
+def test_two_players_are_enough():
+    world = World(get_scenario("random-energy", players=2))
+    assert (world.game.num_players, world.neighbours.tolist()) == (2, [[1, 0]])
 
 
 def test_a_shortfall_above_one_percent_is_a_warning():
