@@ -104,11 +104,11 @@ def test_a_terminal_is_asked_before_code_runs(answer, monkeypatch):
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(typer, "confirm", confirm)
-    assert options.trusted([], trust=False) is False
-    assert options.trusted(["evil:make"], trust=True) is True
+    assert options.require_trust([], trust=False) is False
+    assert options.require_trust(["evil:make"], trust=True) is True
     assert asked == []
     with nullcontext() if answer else pytest.raises(typer.Abort):
-        assert options.trusted(["evil:make", "\x1b[2Kfine.zip"], trust=False) is True
+        assert options.require_trust(["evil:make", "\x1b[2Kfine.zip"], trust=False) is True
     assert asked == [r"'evil:make', '\x1b[2Kfine.zip' will run code from outside the library. Do you trust it?"]
 
 
