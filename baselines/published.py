@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
+from operator import itemgetter
 from pathlib import Path
 from statistics import fmean
 from typing import get_args
@@ -58,16 +59,20 @@ class Published:
         """A number on a track, or over all (:data:`ALL`)."""
         return self._cells.get((suite, track, policy, metric))
 
+    def by_policy(self, suite: str, track: str, metric: str = "digits") -> dict[str, Row]:
+        """The numbers of all policies that have one on a track."""
+        cells = {policy: self.cell(suite, track, policy, metric) for policy in self.names("policy", suite)}
+        return {policy: cell for policy, cell in cells.items() if cell is not None}
+
     def ranked(self, suite: str, track: str) -> list[str]:
         """The policies that act on a track, the best first: by digits to two decimals, then by mean regret."""
+        regrets = self.by_policy(suite, track, "mean_regret")
 
-        def key(policy: str) -> tuple[float, float]:
-            regret = self.cell(suite, track, policy, "mean_regret")
-            return -digits[policy], math.inf if regret is None else float(regret["mean"])
+        def key(item: tuple[str, Row]) -> tuple[float, float]:
+            regret = regrets.get(item[0])
+            return -round(float(item[1]["mean"]), 2), math.inf if regret is None else float(regret["mean"])
 
-        cells = {policy: self.cell(suite, track, policy) for policy in self.names("policy", suite)}
-        digits = {policy: round(float(cell["mean"]), 2) for policy, cell in cells.items() if cell is not None}
-        return sorted(digits, key=key)
+        return [policy for policy, _ in sorted(self.by_policy(suite, track).items(), key=key)]
 
 
 def plain(row: Row | None) -> str:
@@ -109,11 +114,9 @@ def by_track(numbers: Published, suite: str, policies: Sequence[str]) -> str:
 
 def best_law(numbers: Published, suite: str, track: str, without: str = "") -> tuple[str, Row]:
     """The best law of a track, perhaps but one, and its digits."""
-    metric = "score" if track == ALL else "digits"
-    laws = [name for name in numbers.names("policy", suite) if POLICIES[name].is_law and name != without]
-    cells = {name: numbers.cell(suite, track, name, metric) for name in laws}
-    rows = {name: cell for name, cell in cells.items() if cell is not None}
-    return max(rows.items(), key=lambda item: float(item[1]["mean"]))
+    rows = numbers.by_policy(suite, track, "score" if track == ALL else "digits")
+    laws = {name: row for name, row in rows.items() if POLICIES[name].is_law and name != without}
+    return max(laws.items(), key=lambda item: float(item[1]["mean"]))
 
 
 def best_standard(numbers: Published, track: str) -> str:
@@ -158,20 +161,15 @@ def overall(numbers: Published) -> str:
 
 def best_on(numbers: Published, suite: str, world: str) -> tuple[str, float]:
     """The policy with the most digits on a random world, oracles apart, and its digits."""
-    cells = {name: numbers.cell(suite, world, name) for name in numbers.names("policy", suite) if name != "oracle"}
-    digits = {name: float(cell["mean"]) for name, cell in cells.items() if cell is not None}
-    return max(digits.items(), key=lambda item: item[1])
+    rows = numbers.by_policy(suite, world)
+    return max(((name, float(row["mean"])) for name, row in rows.items() if name != "oracle"), key=itemgetter(1))
 
 
 def fails(numbers: Published, suite: str, world: str, policy: str) -> bool:
     """Whether a policy is worse than the paper's law by more than both intervals, or diverges more often."""
-    cells = [
-        {metric: numbers.cell(suite, world, name, metric) for metric in ("digits", "diverged_share")}
-        for name in (policy, "static")
-    ]
-    own, law = ({metric: cell for metric, cell in each.items() if cell is not None} for each in cells)
-    is_worse = float(own["digits"]["high"]) < float(law["digits"]["low"])
-    return is_worse or float(own["diverged_share"]["mean"]) > float(law["diverged_share"]["mean"])
+    digits, diverged = (numbers.by_policy(suite, world, metric) for metric in ("digits", "diverged_share"))
+    is_worse = float(digits[policy]["high"]) < float(digits["static"]["low"])
+    return is_worse or float(diverged[policy]["mean"]) > float(diverged["static"]["mean"])
 
 
 def shortfalls(numbers: Published, suite: str) -> str:

@@ -1,7 +1,7 @@
 import pytest
 
 from baselines import reproduce
-from baselines.paper import Experiments
+from baselines.paper.experiments import Experiments
 
 
 @pytest.fixture(scope="session")

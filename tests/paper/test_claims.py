@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines.paper import Experiments, table_one
 from baselines.paper import claims as claims_module
 from baselines.paper.claims import VANISHED, lemma_1, proposition_1, theorem_1, theorem_3
-from baselines.paper.table import labelled_graphs, misfits
+from baselines.paper.experiments import Experiments
+from baselines.paper.table import labelled_graphs, misfits, table_one
 from ptne_env import FactorySpec, get_scenario, laws
 from ptne_env.evaluation.rollout import rollout
 from ptne_env.games import NonQuadraticGame

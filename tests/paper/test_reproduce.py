@@ -3,8 +3,9 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from baselines.paper import Claim, TableRow
+from baselines.paper.claims import Claim
 from baselines.paper.figures import FIGURES, draw
+from baselines.paper.table import TableRow
 from baselines.reproduce import CHECKS, Reproduction, paper_tables, reproduce
 
 
