@@ -153,7 +153,7 @@ def test_space_contains_every_observation_also_at_the_edge_of_the_range(name, ki
     shape = (n, players, 1)
     corners = np.random.default_rng(0).choice([-RANGE_LIMIT, RANGE_LIMIT], shape)
     game = begin(world, [0]).game
-    edge = [dynamics.initial_state(world, estimates, game) for estimates in (corners, np.zeros(shape))]
+    edge = [dynamics.begin(world, estimates, game, None) for estimates in (corners, np.zeros(shape))]
     states = [*edge, wander(world), wander(world, steps=400)]
     crashed = dynamics.step(world, states[1], np.full(shape, 1e9))
     assert crashed.diverged.all()

@@ -288,7 +288,7 @@ def test_gradient_out_of_range_is_divergence_even_with_estimates_in_range():
     world = World(get_scenario("non-quadratic"))
     estimates = np.zeros((5, 5, 1))
     estimates[1, 1] = 40.0  # e^{20}/4 = 1.2e8
-    state = dynamics.initial_state(world, estimates)
+    state = dynamics.begin(world, estimates, world.game, None)
     assert state.diverged.tolist() == [True]
 
 
