@@ -55,12 +55,13 @@ class TimeTransformation(Part, ABC):
     def from_effective_time(self, tau: npt.ArrayLike, constant: float) -> FloatArray:
         """The s with s + c λ(s) = τ, by root finding; transformations with a closed form override this."""
         times = np.asarray(tau, dtype=np.float64)
+        tolerance = min(1e-15, 1e-13 / (1 + constant * self.deadline))  # s starts like τ/(1 + c T)
 
         def solve(value: float) -> float:
             if value <= 0:
                 return 0.0
             residual = lambda s: float(self.effective_time(s, constant)) - value  # noqa: E731 - closes over value
-            return float(scipy.optimize.brentq(residual, 0.0, value, xtol=1e-15, rtol=8.9e-16, maxiter=200))
+            return float(scipy.optimize.brentq(residual, 0.0, value, xtol=tolerance, rtol=8.9e-16, maxiter=200))
 
         return np.array([solve(float(value)) for value in times.ravel()]).reshape(times.shape)
 

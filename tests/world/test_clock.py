@@ -121,22 +121,31 @@ def test_without_constant_gain_theta_is_the_transformed_step():
     assert clock.theta[:-1] == pytest.approx(np.full(10, 0.5))
 
 
-def precise_inverse(tau, scale):
-    """The s with s + C (1 − e^{−s}) = τ, bisected with 50 digits."""
+PRECISE = {
+    Exponential: lambda s: 1 - (-s).exp(),
+    Rational: lambda s: s / (1 + s),
+    HyperbolicTangent: lambda s: 2 / (1 + (-2 * s).exp()) - 1,
+}
+"""λ(s)/T of numbers with many digits."""
+
+
+def precise_inverse(kind, tau, scale):
+    """The s with s + C λ(s)/T = τ, bisected with 50 digits."""
     with localcontext(prec=50):
         low, high = Decimal(0), Decimal(tau)
         for _ in range(170):
             middle = (low + high) / 2
-            is_low = middle + Decimal(scale) * (1 - (-middle).exp()) < Decimal(tau)
+            is_low = middle + Decimal(scale) * PRECISE[kind](middle) < Decimal(tau)
             low, high = (middle, high) if is_low else (low, middle)
         return float(low)
 
 
 @pytest.mark.parametrize("gain", [120.0, 1e6, 1e8])
-def test_the_inverse_of_effective_time_keeps_its_digits_where_the_gain_is_large(gain):
+@pytest.mark.parametrize("kind", TRANSFORMATIONS)
+def test_the_inverse_of_effective_time_keeps_its_digits_where_the_gain_is_large(kind, gain):
     tau = gain * np.array([1e-6, 1e-3, 0.1, 0.5, 0.9])
-    found = Exponential(1.0).from_effective_time(tau, gain)
-    assert found == pytest.approx([precise_inverse(value, gain) for value in tau.tolist()], rel=1e-13)
+    found = kind(1.0).from_effective_time(tau, gain)
+    assert found == pytest.approx([precise_inverse(kind, value, gain) for value in tau.tolist()], rel=1e-13)
 
 
 def test_a_step_with_the_input_held_solves_the_differential_equation():
