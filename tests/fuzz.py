@@ -74,6 +74,7 @@ DOES_NOT_FIT = (
     "the paper's start is for one component per player, the game has",
     "reward 'regret' needs a best response",
     "^players must be a whole number of at least 3, got 2",
+    "^own gradients at the initial estimates must be within .*: start closer",
 )
 """Reasons for which a random scenario may be refused. Any other error is a fault, such as that of an argument which a
 part does not have."""
