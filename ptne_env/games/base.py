@@ -304,11 +304,11 @@ class Game(Part, ABC):
         for player in range(self.num_players):
             own = self.owners == player
             hessians = slopes[:, own][:, :, own]
-            smallest = float(np.linalg.eigvalsh((hessians + hessians.transpose(0, 2, 1)) / 2).min())
-            if smallest < -1e-6 * np.abs(hessians).max():
+            smallest = np.linalg.eigvalsh((hessians + hessians.transpose(0, 2, 1)) / 2)[:, 0]
+            if np.any(smallest < -1e-6 * np.abs(hessians).max(axis=(1, 2))):
                 raise ArithmeticError(
                     f"{type(self).__name__}: F vanishes at the point found, but the cost of player {player} has the "
-                    f"curvature {smallest:.3g} there, so it is no minimum and no Nash equilibrium"
+                    f"curvature {smallest.min():.3g} there, so it is no minimum and no Nash equilibrium"
                 )
 
     def _solve_nash_equilibria(self) -> FloatArray:
