@@ -114,7 +114,6 @@ class AffineGame(Game):
         return times(self.matrices - self._own_blocks, strategies) + self.offsets
 
     def costs(self, strategies: FloatArray) -> FloatArray:
-        """J_i(x): (n, B) to (N, B)."""
         return self.summed(strategies * (times(self._own_blocks, strategies) / 2 + self._pressure(strategies)))
 
     def summed(self, values: FloatArray) -> FloatArray:
@@ -247,7 +246,6 @@ class RandomAffine(GameFamily):
         return None if self.epsilon else False
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
-        """Draw one affine game per generator."""
         n = sum(self.action_dims)
         owners = np.repeat(np.arange(len(self.action_dims)), self.action_dims)
         normal = np.stack([generator.normal(size=(2, n, n)) for generator in generators])

@@ -90,7 +90,6 @@ class CoupledConstraint(GameFamily):
         _ = self.representative  # refuses a game that is not affine
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
-        """Draw one priced game per generator."""
         game = self.game.draw(generators)
         unit = np.stack([generator.random((self.lines, game.dimension + 1)) for generator in generators], axis=-1)
         loads, (low, high) = unit[:, :-1], _TIGHTNESS

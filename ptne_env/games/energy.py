@@ -49,8 +49,7 @@ class EnergyGame(Game):
                 f"EnergyGame: the numbers of curvature {np.shape(self.curvature)} do not fit target "
                 f"{np.shape(self.target)}; give one number for all, or one per player (and game)"
             )
-        numbers = self.curvatures, self.couplings, self.targets, self.base_price
-        if not all(np.isfinite(values).all() for values in numbers):
+        if not (np.isfinite(self.slope).all() and np.isfinite(self.intercept).all()):
             raise ValueError("EnergyGame needs finite parameters")
         curvature, coupling = self.curvatures.min(), self.couplings.min()
         if curvature <= 0 or coupling < 0:
@@ -90,7 +89,6 @@ class EnergyGame(Game):
         return freeze(self.base_price - 2 * self.curvatures * self.targets)
 
     def costs(self, strategies: FloatArray) -> FloatArray:
-        """J_i(x): (N, B) to (N, B)."""
         price = self.couplings * ordered_sum(strategies) + self.base_price
         return self.curvatures * (strategies - self.targets) ** 2 + price * strategies
 
@@ -165,7 +163,6 @@ class RandomEnergy(GameFamily):
         return self._game((low + high) / 2)
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
-        """Draw one energy game per generator."""
         size = 2 * self.players + 1
         unit = np.stack([generator.random(size) for generator in generators], axis=-1)
         return EnergyGame(**self.columns(unit), base_price=self.base_price)

@@ -32,7 +32,6 @@ class ElectricVehicleCharging(AffineGame):
     offset = freeze((_PRICE * _LOAD - _PENALTY * _ENERGY[:, None]).ravel())
 
     def costs(self, strategies: FloatArray) -> FloatArray:
-        """J_i(x): (n, B) to (N, B)."""
         power = strategies.reshape(self.num_players, self._LOAD.size, -1)
         total = ordered_sum(power)
         bill = self._PRICE * (self._LOAD[:, None] + total) * power
@@ -86,7 +85,6 @@ class Oligopoly(AffineGame):
         return times(self._RESPONSE[:, :, None], strategies) + self._DEMAND[:, None]
 
     def costs(self, strategies: FloatArray) -> FloatArray:
-        """J_i(x), minus the profit: (N, B) to (N, B)."""
         return -self.sales(strategies) * (strategies - self._MARGINAL_COSTS[:, None])
 
 
@@ -101,24 +99,13 @@ class ConnectivityControl(AffineGame):
     """
 
     _POSTS = freeze([(8.0, 0.0), (2.0, 8.0), (-7.0, 5.0), (-6.0, -5.0), (3.0, -7.0)])  # p_i
-    _PULL, _TOUCH = (  # w_i of every robot, and c_ij
-        0.6,
-        freeze(
-            [
-                (0.0, 0.6, 0.0, 0.0, 0.2),
-                (0.2, 0.0, 0.6, 0.0, 0.0),
-                (0.0, 0.2, 0.0, 0.6, 0.0),
-                (0.0, 0.0, 0.2, 0.0, 0.6),
-                (0.6, 0.0, 0.0, 0.2, 0.0),
-            ]
-        ),
-    )
+    _PULL = 0.6  # w_i of every robot
+    _TOUCH = freeze(0.6 * np.roll(np.eye(5), 1, axis=1) + 0.2 * np.roll(np.eye(5), -1, axis=1))  # c_ij on a ring
     action_dims = (2,) * 5
     matrix = freeze(np.kron(2 * (np.diag(_PULL + _TOUCH.sum(axis=1)) - _TOUCH), np.eye(2)))
     offset = freeze(-2 * (_PULL * _POSTS).ravel())
 
     def costs(self, strategies: FloatArray) -> FloatArray:
-        """J_i(x): (2N, B) to (N, B)."""
         at = strategies.reshape(self.num_players, 2, -1)
         from_post = ordered_sum((at - self._POSTS[:, :, None]) ** 2, axis=1)
         apart = ordered_sum((at[:, None] - at[None]) ** 2, axis=2)
@@ -144,7 +131,6 @@ class RateControl(Game):
     low, high = 0.0, (2.0, 4.0, 4.0, 2.0, 4.0)
 
     def costs(self, strategies: FloatArray) -> FloatArray:
-        """J_i(x): (N, B) to (N, B)."""
         logarithms = array_namespace(strategies).log1p(strategies)
         return strategies * times(self._SHARED, strategies) - self._UTILITIES * logarithms
 

@@ -42,7 +42,6 @@ class NonQuadraticGame(Game):
         return _SLOPE_OF_FOURTH[self.variant]
 
     def costs(self, strategies: FloatArray) -> FloatArray:
-        """J_i(x): (5, B) to (5, B)."""
         xp, (x1, x2, x3, x4, x5) = array_namespace(strategies), strategies
         return xp.stack(
             [

@@ -83,7 +83,6 @@ class SaturatingGame(AffineGame):
         return times(self._transposed_prices, xp.tanh(times(self.all_prices, strategies) - self.shifts))
 
     def costs(self, strategies: FloatArray) -> FloatArray:
-        """J_i(x): (n, B) to (N, B)."""
         load = times(self.all_prices, strategies) - self.shifts
         return super().costs(strategies) + ordered_sum(array_namespace(load).logaddexp(load, -load) - np.log(2))
 
@@ -154,7 +153,6 @@ class RandomSaturating(GameFamily):
             )
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
-        """Draw one game per generator."""
         affine = self.affine.draw(generators)
         require_strong_monotonicity(affine)
         n, equilibria = affine.dimension, affine.nash_equilibria

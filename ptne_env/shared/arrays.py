@@ -7,7 +7,7 @@ import sys
 from functools import reduce
 from numbers import Real
 from operator import add
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,6 @@ _MANY = 64
 
 _SHORT = 16
 """The length of the longest row whose maximum is found column by column."""
-
 
 _FEW = 64
 """The largest number of terms that compiled code adds one by one."""
@@ -69,10 +68,8 @@ def product(first: Any, second: Any) -> Any:
 
 
 def _is_finite(value: object) -> bool:
-    """Whether ``value`` is a finite number; callers may pass any type."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        return False
-    return math.isfinite(value)
+    """Return whether ``value``, which may have any type, is a finite number."""
+    return not isinstance(value, bool) and isinstance(value, Real) and math.isfinite(value)
 
 
 def require_positive(name: str, value: float, unit: str = "") -> float:
@@ -139,9 +136,8 @@ def require_mask(name: str, value: npt.ArrayLike, size: int) -> BoolArray:
 
 def freeze(array: npt.ArrayLike) -> FloatArray:
     """Return a read-only float64 copy, which is safe to share; an array of JAX as it is."""
-    given: Any = array
-    if hasattr(given, "__array_namespace__") and not is_numpy(given):
-        return given
+    if not is_numpy(array) and hasattr(array, "__array_namespace__"):
+        return cast(FloatArray, array)
     result = np.array(array, dtype=np.float64)
     result.flags.writeable = False
     return result

@@ -21,7 +21,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -44,7 +44,6 @@ from ptne_env.shared.parts import Part, checked
 Memory: TypeAlias = tuple[Any, ...]
 """Memory of a channel: arrays with environments last, and tuples of them."""
 
-
 Transmitted: TypeAlias = "tuple[Messages, Memory]"
 """Messages received in a step, and the memory for the next step."""
 
@@ -64,28 +63,24 @@ class Messages:
     weights: FloatArray
 
 
-class LinkRandomness:
+class LinkRandomness(NamedTuple):
     """The random numbers of one stage in one step: noise, losses and delays per directed link.
 
-    Args:
+    Attributes:
         keys: one per environment, shape (B,).
         step: index of the step, shape (B,).
         senders: player in each neighbour slot, shape (D, N).
         owners: player that owns each component, shape (n,).
-
-    Attributes:
-        senders, owners: as given.
     """
 
-    def __init__(self, keys: CounterArray, step: IntArray, senders: IntArray, owners: IntArray) -> None:
-        self._keys = keys
-        self._step = step
-        self.senders = senders
-        self.owners = owners
+    keys: CounterArray
+    step: IntArray
+    senders: IntArray
+    owners: IntArray
 
     def stage(self, index: int) -> LinkRandomness:
         """Return the random numbers of stage ``index`` of a chain, which are independent of all others."""
-        return LinkRandomness(counter_random.child_keys(self._keys, index), self._step, self.senders, self.owners)
+        return self._replace(keys=counter_random.child_keys(self.keys, index))
 
     def uniforms(self, purpose: int = 0) -> FloatArray:
         """Draw U(0, 1) per directed link, shape (D, N, B); another ``purpose`` gives other numbers."""
@@ -100,7 +95,7 @@ class LinkRandomness:
     def episode_uniforms(self, count: int, purpose: int = 0) -> FloatArray:
         """Draw U(0, 1), the same in every step of an episode, shape (count, B); see :meth:`uniforms`."""
         counters = np.arange(count, dtype=np.uint64)[:, None]
-        return counter_random.uniforms(counter_random.child_keys(self._keys, purpose), counters)
+        return counter_random.uniforms(counter_random.child_keys(self.keys, purpose), counters)
 
     def _links(self) -> CounterArray:
         """The number i N + j of each link, which is the same in every slot; shape (D, N)."""
@@ -109,21 +104,17 @@ class LinkRandomness:
 
     def _base(self, purpose: int) -> CounterArray:
         """A key per environment for this purpose and step, shape (B,)."""
-        return counter_random.words(counter_random.child_keys(self._keys, purpose), self._step.astype(np.uint64))
+        return counter_random.words(counter_random.child_keys(self.keys, purpose), self.step.astype(np.uint64))
 
 
 class Channel(Part, ABC):
     """A map, with memory, from messages sent to messages received."""
 
-    @cached_property
-    def is_perfect(self) -> bool:
-        """Whether every message is received as it was sent."""
-        return False
+    is_perfect: ClassVar[bool] = False
+    """Whether every message is received as it was sent."""
 
-    @cached_property
-    def is_random(self) -> bool:
-        """Whether two episodes differ."""
-        return True
+    is_random: ClassVar[bool] = True
+    """Whether two episodes differ."""
 
     @abstractmethod
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
@@ -154,20 +145,13 @@ class Chain(Channel):
             if not isinstance(stage, Channel):
                 raise ValueError(f"the stages of a chain are channels, got a {type(stage).__name__}")
             stages += stage.stages if isinstance(stage, Chain) else [stage]
-        vars(self)["stages"] = tuple(stages)
-
-    @cached_property
-    def is_perfect(self) -> bool:
-        """Whether all stages are perfect."""
-        return all(stage.is_perfect for stage in self.stages)
-
-    @cached_property
-    def is_random(self) -> bool:
-        """Whether a stage is random."""
-        return any(stage.is_random for stage in self.stages)
+        vars(self).update(
+            stages=tuple(stages),
+            is_perfect=all(stage.is_perfect for stage in stages),
+            is_random=any(stage.is_random for stage in stages),
+        )
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Return the output of the last stage."""
         remembered = []
         for index, stage in enumerate(self.stages):
             before = None if memory is None else memory[index]
@@ -177,7 +161,7 @@ class Chain(Channel):
 
 
 def perfect() -> Channel:
-    """The identity: y = v."""
+    """Return the identity: y = v."""
     return Chain()
 
 
@@ -196,9 +180,8 @@ class Range(Channel):
     limit: float = checked(require_positive)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Clip the messages."""
-        xp = array_namespace(messages.values)
-        return replace(messages, values=xp.clip(messages.values, -self.limit, self.limit)), ()
+        clip = array_namespace(messages.values).clip
+        return replace(messages, values=clip(messages.values, -self.limit, self.limit)), ()
 
 
 class AdditiveNoise(Channel):
@@ -211,7 +194,6 @@ class AdditiveNoise(Channel):
     std: float = checked(require_non_negative)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Add noise to the messages."""
         noise = randomness.normals()
         noise *= self.std
         noise += messages.values
@@ -236,19 +218,13 @@ class Delay(Channel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_count("longest", self._longest, self.steps)
+        vars(self)["is_random"] = require_count("longest", self._longest, self.steps) > self.steps
 
     @cached_property
     def _longest(self) -> int:
         return self.steps if self.longest is None else self.longest
 
-    @cached_property
-    def is_random(self) -> bool:
-        """Whether delays differ."""
-        return self._longest > self.steps
-
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Return the last arrivals."""
         xp, longest = array_namespace(messages.values), self._longest
         lags = xp.full(messages.live.shape, self.steps)
         if self.is_random:
@@ -278,7 +254,6 @@ class Loss(Channel):
     probability: float = checked(require_probability)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Put the last message received in the place of each message that is lost."""
         return _hold(messages, randomness.uniforms() < self.probability, memory)
 
 
@@ -298,7 +273,6 @@ class BurstLoss(Channel):
     to_good: float = checked(require_positive_probability)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Put the last message received in the place of each message that is lost."""
         xp, turn = array_namespace(messages.values), randomness.uniforms()
         if memory is None:
             bad = turn < self.to_bad / (self.to_bad + self.to_good)
@@ -330,7 +304,6 @@ class UniformQuantiser(Channel):
     width: float = checked(require_positive)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Round the messages."""
         return replace(messages, values=round_to_integers(messages.values / self.width) * self.width), ()
 
 
@@ -348,7 +321,6 @@ class Lying(Channel):
     size: float = checked(require_positive)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Add the offset to the messages of the liar."""
         senders, owners = randomness.senders, randomness.owners
         liar = (randomness.episode_uniforms(1) * senders.shape[1]).astype(np.int64)[0]
         offset = self.size * (2 * randomness.episode_uniforms(owners.size, purpose=1) - 1)
@@ -367,7 +339,6 @@ class Bias(Channel):
     bound: float = checked(require_non_negative)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Add the offsets, which are drawn in the first step."""
         if memory:
             (offsets,) = memory
         else:  # the distribution function of a normal number is uniform
@@ -389,7 +360,6 @@ class HeavyTails(Channel):
     scale: float = checked(require_non_negative)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Add noise to the messages."""
         normal = randomness.normals()
         ndtr = special_functions(normal).ndtr
         below, above = ndtr(normal), ndtr(-normal)
@@ -408,8 +378,6 @@ class LateNoise(AdditiveNoise):
     step: int = checked(require_count, 0)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        """Add noise to the messages from the given step on."""
-        xp = array_namespace(messages.values)
-        elapsed = memory[0] if memory else xp.zeros(messages.live.shape[-1])
-        noisy, _ = super().transmit(messages, None, randomness)
-        return replace(messages, values=xp.where(elapsed < self.step, messages.values, noisy.values)), (elapsed + 1,)
+        noisy, _ = super().transmit(messages, memory, randomness)
+        where = array_namespace(noisy.values).where
+        return replace(messages, values=where(randomness.step < self.step, messages.values, noisy.values)), ()

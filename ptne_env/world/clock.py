@@ -14,6 +14,9 @@ from ptne_env.shared.parts import Part, checked
 
 Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
 
+Times: TypeAlias = "FloatArray | float"
+"""One time, or an array of times of any shape."""
+
 
 class TimeTransformation(Part, ABC):
     """A function t = λ(s) of Lemma 1, from s ∈ [0, ∞) onto t ∈ [0, T).
@@ -25,36 +28,30 @@ class TimeTransformation(Part, ABC):
     deadline: float = checked(require_positive, " (T, in seconds)")
 
     @abstractmethod
-    def time(self, s: npt.ArrayLike) -> FloatArray:
+    def time(self, s: Times) -> FloatArray:
         """t = λ(s), in seconds."""
 
     @abstractmethod
-    def derivative(self, s: npt.ArrayLike) -> FloatArray:
+    def derivative(self, s: Times) -> FloatArray:
         """λ'(s), in seconds per unit of s."""
 
     @abstractmethod
-    def inverse(self, t: npt.ArrayLike) -> FloatArray:
+    def inverse(self, t: Times) -> FloatArray:
         """s = λ^{-1}(t) for t < T."""
 
     def gain(self, t: npt.ArrayLike, constant: float = 0.0) -> FloatArray:
-        """g(t) = c + 1/λ'(λ^{-1}(t)) for t < T and c from T on: the prescribed-time gain of eq. (10).
-
-        Args:
-            t: instants in seconds.
-            constant: c, in 1/s.
-        """
+        """g(t) = c + 1/λ'(λ^{-1}(t)) for t < T and c from T on, in 1/s: the prescribed-time gain of eq. (10)."""
         times = np.asarray(t, dtype=np.float64)
         before = times < self.deadline
         s = self.inverse(np.where(before, times, 0.0))
         return np.where(before, constant + 1 / self.derivative(s), constant)
 
-    def effective_time(self, s: npt.ArrayLike, constant: float) -> FloatArray:
+    def effective_time(self, s: Times, constant: float) -> FloatArray:
         """τ = s + c λ(s), the time in which every law's loop is dx/dτ = u."""
-        return np.asarray(s, dtype=np.float64) + constant * self.time(s)
+        return s + constant * self.time(s)
 
-    def from_effective_time(self, tau: npt.ArrayLike, constant: float) -> FloatArray:
+    def from_effective_time(self, tau: FloatArray, constant: float) -> FloatArray:
         """The s with s + c λ(s) = τ, by root finding; transformations with a closed form override this."""
-        times = np.asarray(tau, dtype=np.float64)
         tolerance = min(1e-15, 1e-13 / (1 + constant * self.deadline))  # s starts like τ/(1 + c T)
 
         def solve(value: float) -> float:
@@ -63,69 +60,57 @@ class TimeTransformation(Part, ABC):
             residual = lambda s: float(self.effective_time(s, constant)) - value  # noqa: E731 - closes over value
             return float(scipy.optimize.brentq(residual, 0.0, value, xtol=tolerance, rtol=8.9e-16, maxiter=200))
 
-        return np.array([solve(float(value)) for value in times.ravel()]).reshape(times.shape)
+        return np.vectorize(solve, otypes=[np.float64])(tau)
 
 
 class Exponential(TimeTransformation):
     """The paper's λ(s) = T (1 − e^{−s}), eq. (9), for which the gain is c + 1/(T − t)."""
 
-    def time(self, s: npt.ArrayLike) -> FloatArray:
-        """T (1 − e^{−s})."""
-        return np.asarray(-self.deadline * np.expm1(-np.asarray(s, dtype=np.float64)))
+    def time(self, s: Times) -> FloatArray:
+        return -self.deadline * np.expm1(-s)
 
-    def derivative(self, s: npt.ArrayLike) -> FloatArray:
-        """T e^{−s}."""
-        return np.asarray(self.deadline * np.exp(-np.asarray(s, dtype=np.float64)))
+    def derivative(self, s: Times) -> FloatArray:
+        return self.deadline * np.exp(-s)
 
-    def inverse(self, t: npt.ArrayLike) -> FloatArray:
-        """−ln(1 − t/T)."""
-        return np.asarray(-np.log1p(-np.asarray(t, dtype=np.float64) / self.deadline))
+    def inverse(self, t: Times) -> FloatArray:
+        return -np.log1p(-t / self.deadline)
 
-    def from_effective_time(self, tau: npt.ArrayLike, constant: float) -> FloatArray:
+    def from_effective_time(self, tau: FloatArray, constant: float) -> FloatArray:
         """τ − C + ω(ln C + C − τ) with C = cT and Wright's ω, and a step of Newton where C cancels most digits."""
-        times = np.asarray(tau, dtype=np.float64)
         scale = constant * self.deadline
         if scale == 0:
-            return times.copy()
-        s = times - scale + scipy.special.wrightomega(np.log(scale) + scale - times)
+            return tau.copy()
+        s = tau - scale + scipy.special.wrightomega(np.log(scale) + scale - tau)
         if scale > 100:
-            s = s - (self.effective_time(s, constant) - times) / (1 + constant * self.derivative(s))
+            s = s - (self.effective_time(s, constant) - tau) / (1 + constant * self.derivative(s))
         return np.maximum(s, 0.0)
 
 
 class Rational(TimeTransformation):
     """λ(s) = T s/(1 + s), whose gain is c + T/(T − t)²."""
 
-    def time(self, s: npt.ArrayLike) -> FloatArray:
-        """T s/(1 + s)."""
-        value = np.asarray(s, dtype=np.float64)
-        return np.asarray(self.deadline * value / (1 + value))
+    def time(self, s: Times) -> FloatArray:
+        return np.asarray(self.deadline * s / (1 + s))
 
-    def derivative(self, s: npt.ArrayLike) -> FloatArray:
-        """T/(1 + s)²."""
-        return np.asarray(self.deadline / (1 + np.asarray(s, dtype=np.float64)) ** 2)
+    def derivative(self, s: Times) -> FloatArray:
+        return np.asarray(self.deadline / (1 + s) ** 2)
 
-    def inverse(self, t: npt.ArrayLike) -> FloatArray:
-        """t/(T − t)."""
-        value = np.asarray(t, dtype=np.float64)
-        return np.asarray(value / (self.deadline - value))
+    def inverse(self, t: Times) -> FloatArray:
+        return np.asarray(t / (self.deadline - t))
 
 
 class HyperbolicTangent(TimeTransformation):
     """λ(s) = T tanh s, whose gain is c + T/(T² − t²)."""
 
-    def time(self, s: npt.ArrayLike) -> FloatArray:
-        """T tanh s."""
-        return np.asarray(self.deadline * np.tanh(np.asarray(s, dtype=np.float64)))
+    def time(self, s: Times) -> FloatArray:
+        return self.deadline * np.tanh(s)
 
-    def derivative(self, s: npt.ArrayLike) -> FloatArray:
-        """T/cosh² s, written with e^{−2s} so that it never overflows."""
-        decay = np.exp(-2 * np.asarray(s, dtype=np.float64))
-        return np.asarray(4 * self.deadline * decay / (1 + decay) ** 2)
+    def derivative(self, s: Times) -> FloatArray:
+        decay = np.exp(-2 * s)  # T/cosh² s, written so that it never overflows
+        return 4 * self.deadline * decay / (1 + decay) ** 2
 
-    def inverse(self, t: npt.ArrayLike) -> FloatArray:
-        """artanh(t/T)."""
-        return np.asarray(np.arctanh(np.asarray(t, dtype=np.float64) / self.deadline))
+    def inverse(self, t: Times) -> FloatArray:
+        return np.arctanh(t / self.deadline)
 
 
 class StepClock:

@@ -45,7 +45,6 @@ class UniformDisturbance(Disturbance):
     dwell: int = checked(require_count, 1, default=1)
 
     def velocity(self, keys: CounterArray, step: IntArray, dimension: int) -> FloatArray:
-        """Draw the velocities of each environment's step, shape (n, B)."""
         draws = (step // self.dwell).astype(np.uint64) * np.uint64(dimension)
         numbers = counter_random.uniforms(keys, draws + np.arange(dimension, dtype=np.uint64)[:, None])
         numbers -= 0.5

@@ -74,12 +74,9 @@ class State(NamedTuple):
 
 
 def draw_initial_state(world: World, streams: Sequence[RandomStreams], estimates: FloatArray | None = None) -> State:
-    """Draw the game, start and randomness of episodes, and return their state at t = 0.
+    """Draw the game, start and randomness of episodes, one per entry of ``streams``, and return their state at t = 0.
 
-    Args:
-        world: the world.
-        streams: the random generators of each environment.
-        estimates: initial estimates in place of drawn ones, shape (n, N, B).
+    Initial ``estimates``, shape (n, N, B), replace drawn ones.
 
     Raises:
         ValueError: when a drawn game is not strongly monotone, or as :func:`initial_state`.
@@ -138,14 +135,9 @@ def begin(world: World, estimates: FloatArray, game: Game, randomness: EpisodeRa
 
 
 def require_state(world: World, state: State, batch: int) -> None:
-    """Check that a state, such as a saved one, fits a world.
+    """Check that a state, such as a saved one, fits a world and has ``batch`` environments.
 
     The memory of a channel and the numbers of a game are not checked.
-
-    Args:
-        world: the world.
-        state: the state.
-        batch: B, the expected number of environments.
 
     Raises:
         ValueError: when it is no state, has another shape, a step or estimates out of range, another game's
@@ -174,15 +166,10 @@ def require_state(world: World, state: State, batch: int) -> None:
 
 
 def step(world: World, state: State, inputs: FloatArray) -> State:
-    """Advance a state by one step: x_{k+1} = x_k + Θ_k u_k, which is exact for the held input.
+    """Return the state after one step, x_{k+1} = x_k + Θ_k u_k, which is exact for the held input.
 
     Disturbances, boxes and channels act as the world says. Where a box confines the strategies, the players' own blocks
-    of x_k + Θ_k u_k are projected into it.
-
-    Args:
-        world: the world.
-        state: x_k, which stays as it is.
-        inputs: u_k, which is held for the step, finite, shape (n, N, B).
+    of x_k + Θ_k u_k are projected into it. The ``inputs`` u_k are finite and have the shape (n, N, B).
     """
     theta = world.clock.theta[shared_step(state)]
     if state.any_diverged:
@@ -272,7 +259,7 @@ def weights(world: World, state: State) -> FloatArray:
 
 def sent_messages(world: World, estimates: FloatArray) -> FloatArray:
     """Return the x^j of the neighbour in each slot: estimates (n, N, B) to (D, n, N, B)."""
-    return _rows(estimates).take(world.component_order.senders, axis=0)
+    return estimates.reshape(-1, estimates.shape[2]).take(world.component_order.senders, axis=0)
 
 
 def relative_estimates(
@@ -292,7 +279,7 @@ def relative_estimates(
         order: the order of each player's components; that of the game if left out.
         out: an array to write into, C-contiguous; a new one if left out.
     """
-    rows, received = _rows(state.estimates), state.received
+    rows, received = state.estimates.reshape(-1, batch_size(state)), state.received
     own = state.estimates if order is None else rows.take(order.own, axis=0)
     if received is None:
         senders = (order or world.component_order).senders
@@ -423,10 +410,6 @@ def _replace_own(game: Game, estimates: FloatArray, strategies: FloatArray) -> F
         return estimates
     is_own = (game.owners[:, None] == np.arange(game.num_players))[:, :, None]
     return array_namespace(estimates).where(is_own, strategies[:, None], estimates)
-
-
-def _rows(estimates: FloatArray) -> FloatArray:
-    return estimates.reshape(-1, estimates.shape[2])
 
 
 def _in_range(array: FloatArray) -> bool:

@@ -8,9 +8,8 @@ has a lower reward, so divergence never pays.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -113,22 +112,11 @@ class Reward:
                 f"reward {refused[0]!r} needs a best response, which {type(world.game).__name__} does not have "
                 f"everywhere; choose {', '.join(others[:-1])} or {others[-1]}"
             )
+        self._gains = [name for name in weights if TERMS[name].is_gain]
         self._steps = world.clock.total_steps
         self._values: dict[str, FloatArray] = {}
         self._was_diverged: BoolArray = np.zeros(0, dtype=np.bool_)
         self.distances = np.empty((0, 0))
-
-    @cached_property
-    def _terms(self) -> list[tuple[str, Term]]:
-        return [(name, TERMS[name]) for name in self.weights]
-
-    @cached_property
-    def _gains(self) -> list[tuple[str, Term]]:
-        return [(name, term) for name, term in self._terms if term.is_gain]
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the state without the terms, whose functions have no pickles."""
-        return {name: value for name, value in vars(self).items() if name not in ("_terms", "_gains")}
 
     def reset(self, state: State) -> None:
         """Measure ``state``, from which the next step is rewarded."""
@@ -139,9 +127,9 @@ class Reward:
 
         An episode that diverges in the step is charged for all that remain, and no more afterwards.
         """
-        before, values = self._values, self._measure(state, self._terms)
+        before, values = self._values, self._measure(state, self.weights)
         self._values, terms = values, values.copy()
-        for name, _ in self._gains:
+        for name in self._gains:
             terms[name] = values[name] - before[name]
         if state.any_diverged:
             xp = array_namespace(state.diverged)
@@ -159,18 +147,18 @@ class Reward:
             total = total + weight * terms[name]
         return total
 
-    def _measure(self, state: State, terms: list[tuple[str, Term]]) -> dict[str, FloatArray]:
+    def _measure(self, state: State, names: Iterable[str]) -> dict[str, FloatArray]:
         """The values of terms in a state, the worst ones where an environment has diverged."""
         self.distances, values = measure_distances(state), {}
         if not state.any_diverged:
-            for name, term in terms:  # a comprehension would take longer
-                values[name] = term.value(state, self.distances)
+            for name in names:  # a comprehension would take longer
+                values[name] = TERMS[name].value(state, self.distances)
             return values
         xp, game, diverged = array_namespace(state.estimates), state.game, state.diverged
         # At x*, because the costs of a diverged game may overflow, and would bring NaN into gradients of JAX.
         safe = state._replace(estimates=xp.where(diverged, game.nash_equilibria[:, None], state.estimates))
-        for name, term in terms:
-            values[name] = xp.where(diverged, term.worst(game), term.value(safe, self.distances))
+        for name in names:
+            values[name] = xp.where(diverged, TERMS[name].worst(game), TERMS[name].value(safe, self.distances))
         return values
 
 

@@ -49,7 +49,6 @@ class UniformStart(Start):
             raise ValueError(f"UniformStart needs finite low < high, got {self.low!r} and {self.high!r}")
 
     def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:
-        """Draw the estimates, shape (n, N)."""
         return generator.uniform(self.low, self.high, size=(dimension, num_players))
 
 
@@ -78,7 +77,6 @@ class FixedStart(Start):
         return freeze(self.estimates)
 
     def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:  # noqa: ARG002
-        """Return the fixed estimates, shape (n, N)."""
         if self._rows.shape != (num_players, dimension):
             raise ValueError(
                 f"this start is for {self._rows.shape[0]} players and dimension {self._rows.shape[1]}, the game has "
@@ -94,7 +92,6 @@ class PaperStart(Start):
     """
 
     def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:  # noqa: ARG002
-        """Return the table, shape (N, N)."""
         if dimension != num_players:
             raise ValueError(
                 f"the paper's start is for one component per player, the game has {num_players} players and "

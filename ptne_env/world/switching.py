@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Literal, TypeAlias, get_args
+from typing import ClassVar, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +22,7 @@ _BOUNDARY_TOLERANCE = 1e-9
 """An instant closer to the next switch than this fraction of a dwell counts as the switch, as k·Δt is rounded."""
 
 
-@dataclass(frozen=True)
-class Schedule:
+class Schedule(NamedTuple):
     """A topology sampled on the steps of an episode.
 
     Attributes:
@@ -65,6 +63,8 @@ class SwitchingTopology(Part):
             raise ValueError(f"a topology's clock is 'physical' or 'transformed', got {self.clock!r}")
         if not self.graphs or len({graph.num_players for graph in self.graphs}) != 1:
             raise ValueError("a topology needs at least one graph, all with the same number of players")
+        if self.is_random and len(self.graphs) < 2:
+            raise ValueError("a random topology needs at least two graphs; use fixed() for one")
         _ = self.mode_dwells
 
     @cached_property
@@ -103,7 +103,7 @@ class SwitchingTopology(Part):
     @property
     def period(self) -> float:
         """Sum of the dwell times, in the unit of the clock; infinite when fixed."""
-        return float(sum(self.mode_dwells)) if self.mode_dwells else float("inf")
+        return float(sum(self.mode_dwells)) or float("inf")
 
     @property
     def mean_dwell(self) -> float:
@@ -120,29 +120,23 @@ class SwitchingTopology(Part):
         times = _instants(instants)
         if self.is_fixed:
             return Schedule(np.zeros(times.shape, dtype=np.int64), np.zeros(times.shape))
-        ends = np.cumsum(self.mode_dwells)
-        phase = np.mod(times, self.period)
+        ends, phase = np.cumsum(self.mode_dwells), np.mod(times, self.period)
         slack = _BOUNDARY_TOLERANCE * self.shortest_dwell
-        wraps = phase >= self.period - slack
-        phase = np.where(wraps, 0.0, phase)
+        phase = np.where(phase >= self.period - slack, 0.0, phase)
         modes = np.searchsorted(ends, phase + slack, side="right").astype(np.int64)
         starts = np.concatenate([[0.0], ends[:-1]])
         return Schedule(modes, np.clip((phase - starts[modes]) / self.mean_dwell, 0.0, 1.0))
 
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
-        """Draw the schedules of B episodes at increasing ``instants`` (K,) of the clock; arrays of shape (K, B).
+        """Draw the schedules of B episodes, one per generator, at increasing ``instants`` (K,) of the topology's clock.
 
-        Args:
-            instants: of the clock, from 0 on.
-            generators: one per episode; a topology that is not random draws nothing.
+        Their arrays have the shape (K, B). A topology that is not random draws nothing.
 
         Raises:
             ValueError: when an instant is negative.
         """
-        schedule, repeats = self.schedule(instants), (1, len(generators))
-        return Schedule(
-            np.tile(schedule.modes[:, None], repeats), np.tile(schedule.time_since_switch[:, None], repeats)
-        )
+        (modes, age), batch = self.schedule(instants), len(generators)
+        return Schedule(np.tile(modes[:, None], batch), np.tile(age[:, None], batch))
 
     def switches(self, start: float, end: float) -> FloatArray:
         """Return the switching instants in the open interval (start, end), in the unit of the clock.
@@ -176,17 +170,12 @@ class RandomTopology(SwitchingTopology):
         clock: ``"physical"`` or ``"transformed"``.
 
     Raises:
-        ValueError: when these do not hold, or as :class:`SwitchingTopology`.
+        ValueError: as :class:`SwitchingTopology`, or for fewer graphs or a range that is empty.
     """
 
     is_random = True
 
     dwells: Dwells
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.graphs) < 2:
-            raise ValueError("a random topology needs at least two graphs; use fixed() for one")
 
     @cached_property
     def dwell_range(self) -> tuple[float, float]:
@@ -210,7 +199,6 @@ class RandomTopology(SwitchingTopology):
         return self.dwell_range[0]
 
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
-        """Draw the schedules of B episodes, one per generator; see :meth:`SwitchingTopology.draw`."""
         times, (shortest, longest) = _instants(instants), self.dwell_range
         # The largest possible number of dwells, so that the draws depend on the episode's length alone.
         count = int(np.max(times, initial=0.0) / shortest) + 2
@@ -235,9 +223,6 @@ class EpisodeTopology(SwitchingTopology):
 
     Attributes:
         graphs: the pool, at least two, all on the same players.
-
-    Raises:
-        ValueError: for fewer graphs, or graphs on different players.
     """
 
     is_random = True
@@ -246,18 +231,12 @@ class EpisodeTopology(SwitchingTopology):
     dwells: ClassVar[tuple[float, ...]] = ()  # type: ignore[misc]  # it has no switches, so it takes no such argument
     clock: ClassVar[TopologyClock] = "physical"  # type: ignore[misc]  # likewise
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.graphs) < 2:
-            raise ValueError("a topology that draws its graph needs at least two graphs; use fixed() for one")
-
     @property
     def is_jointly_connected(self) -> bool:
         """Whether every graph of the pool is connected, and so every episode."""
         return all(graph.is_connected for graph in self.graphs)
 
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
-        """Draw one graph per generator, which acts at all ``instants`` (K,)."""
         shape = (np.size(instants), len(generators))
         modes = np.array([generator.integers(len(self.graphs)) for generator in generators], dtype=np.int64)
         return Schedule(np.broadcast_to(modes, shape).copy(), np.zeros(shape))
@@ -273,46 +252,28 @@ def random_edges(
 ) -> SwitchingTopology:
     """Return the topology in which each link of ``graph`` is up or down at random in every dwell.
 
-    Every dwell draws uniformly from a pool of ``modes`` graphs, in each of which every link is up with ``probability``
-    independently. The pool is a function of the arguments, so it belongs to the scenario and is the same in every
-    episode.
-
-    Args:
-        graph: all possible links.
-        probability: that a link is up, in (0, 1].
-        dwells: a dwell time or a range (shortest, longest).
-        modes: graphs in the pool, at least 2.
-        seed: of the pool.
-        clock: ``"physical"`` or ``"transformed"``.
+    It is a :class:`RandomTopology` on a pool of ``modes`` ≥ 2 graphs, in each of which every link is up with
+    ``probability`` in (0, 1], independently. The pool is a function of the arguments, ``seed`` among them, so it
+    belongs to the scenario and is the same in every episode.
 
     Raises:
-        ValueError: when the probability is not in (0, 1], or as :class:`RandomTopology`.
+        ValueError: for a number out of range, or as :class:`RandomTopology`.
     """
     require_positive_probability("probability", probability)
     count = require_count("modes", modes, 2)
-    links = np.array(graph.edges).reshape(-1, 2)
-    up = np.random.default_rng(require_count("seed", seed, 0)).random((count, len(links))) < probability
-    pool = []
-    for mask in up:
-        adjacency = np.zeros_like(graph.adjacency)
-        i, j = links[mask].T
-        adjacency[i, j] = adjacency[j, i] = graph.adjacency[i, j]
-        pool.append(Graph(adjacency))
-    return RandomTopology(pool, dwells, clock)
+    i, j = np.nonzero(np.triu(graph.adjacency))
+    generator = np.random.default_rng(require_count("seed", seed, 0))
+    pool = np.zeros((count, *graph.adjacency.shape))
+    pool[:, i, j] = graph.adjacency[i, j] * (generator.random((count, i.size)) < probability)
+    return RandomTopology([Graph(upper + upper.T) for upper in pool], dwells, clock)
 
 
 def random_graphs(players: int, probability: float, modes: int = 100, seed: int = 0) -> SwitchingTopology:
     """Return the topology that draws a connected random graph for every episode and keeps it throughout.
 
-    Graphs come from a pool: the connected ones among graphs of Erdős and Rényi, which link every pair of players with
-    ``probability``. The pool is a function of the arguments, so it belongs to the scenario and is the same in every
-    episode.
-
-    Args:
-        players: N ≥ 2.
-        probability: that a pair is linked, in (0, 1].
-        modes: graphs in the pool, at least 2.
-        seed: of the pool.
+    It is an :class:`EpisodeTopology` on a pool of ``modes`` ≥ 2 graphs: the connected ones among graphs of Erdős and
+    Rényi, which link every pair of N ≥ 2 ``players`` with ``probability``. The pool is a function of the arguments,
+    ``seed`` among them, so it belongs to the scenario and is the same in every episode.
 
     Raises:
         ValueError: when the probability is not in (0, 1], or so small that hardly any graph is connected.
@@ -323,8 +284,9 @@ def random_graphs(players: int, probability: float, modes: int = 100, seed: int 
     generator = np.random.default_rng(require_count("seed", seed, 0))
     pool: list[Graph] = []
     for _ in range(1000 * count):
-        linked = generator.random(i.size) < probability
-        graph = from_edges(players, zip(i[linked].tolist(), j[linked].tolist(), strict=True))
+        upper = np.zeros((players, players))
+        upper[i, j] = generator.random(i.size) < probability
+        graph = Graph(upper + upper.T)
         if graph.is_connected:
             pool.append(graph)
         if len(pool) == count:

@@ -20,7 +20,7 @@ from ptne_env.world.disturbances import Disturbance
 from ptne_env.world.graphs import Graph
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.starts import Start
-from ptne_env.world.switching import Schedule, SwitchingTopology, fixed
+from ptne_env.world.switching import SwitchingTopology, fixed
 
 RANGE_LIMIT = 5e5
 """An estimate or own gradient that is outside ±RANGE_LIMIT, or not finite, has diverged."""
@@ -61,11 +61,8 @@ class ComponentOrder(NamedTuple):
 class World:
     """A scenario, built and checked. It is read-only, so that any number of environments share it.
 
-    Args:
-        scenario: the scenario, which names the parts.
-
     Attributes:
-        scenario: the same scenario.
+        scenario: names the parts.
         game_family: draws the game of an episode; a game itself where all episodes play one.
         game: the game, or a typical member of the family; states hold the games that are played.
         topology, start, clock, channel: the other parts.
@@ -116,13 +113,9 @@ class World:
         self._tabulate_neighbours()
         self._tabulate_time()
         self._warn_unless_monotone()
-        shortfall = self.clock.shortfall
-        if shortfall > SHORTFALL_WARNING:
-            warnings.warn(
-                f"scenario {scenario.name!r}: the last step ends {shortfall:.2%} of T short of the deadline; "
-                "raise s_end to come closer",
-                stacklevel=2,
-            )
+        if self.clock.shortfall > SHORTFALL_WARNING:
+            end = f"the last step ends {self.clock.shortfall:.2%} of T short of the deadline"
+            warnings.warn(f"scenario {scenario.name!r}: {end}; raise s_end to come closer", stacklevel=2)
 
     @property
     def slots(self) -> int:
@@ -232,8 +225,8 @@ class World:
 
     def _tabulate_neighbours(self) -> None:
         players, union = self.game.num_players, self.topology.union
-        slots = union.largest_degree if self.scenario.slots is None else require_count("slots", self.scenario.slots, 1)
         degree = union.largest_degree
+        slots = degree if self.scenario.slots is None else require_count("slots", self.scenario.slots, 1)
         if slots < degree:
             raise ValueError(
                 f"scenario {self.scenario.name!r}: a player has {degree} neighbours and slots is {slots}; raise it to "
@@ -247,18 +240,14 @@ class World:
             np.stack([graph.adjacency[np.arange(players), self.neighbours] for graph in self.topology.graphs], axis=-1)
         )
         self.has_constant_weights = self.topology.is_fixed and self.channel.is_perfect
-        components = np.arange(self.game.dimension)
-        self.component_order = self.order_components(np.tile(components, (players, 1)))
+        self.component_order = self.order_components(np.tile(np.arange(self.game.dimension), (players, 1)))
 
     def _tabulate_time(self) -> None:
-        self._topology_times = self.clock.topology_times[self.topology.clock]
+        times = self._topology_times = self.clock.topology_times[self.topology.clock]
         if self.topology.is_random:
-            schedule = Schedule(
-                np.zeros(self._topology_times.size, dtype=np.int64), np.zeros(self._topology_times.size)
-            )
+            self.modes, self.time_since_switch = np.zeros(times.size, dtype=np.int64), np.zeros(times.size)
         else:
-            schedule = self.topology.schedule(self._topology_times)
-        self.modes, self.time_since_switch = schedule.modes, schedule.time_since_switch
+            self.modes, self.time_since_switch = self.topology.schedule(times)
         # Looking up an instant's successor costs one environment a quarter of computing it.
         instants, last = np.arange(self.clock.total_steps + 1), self.clock.total_steps
         self.next_step, self.is_last_step = np.minimum(instants + 1, last), instants >= last
