@@ -64,7 +64,7 @@ def require_file(path: str | Path) -> None:
 
 
 def read_json(path: Path, kind: str) -> dict[str, Any]:
-    """The JSON object in a file.
+    """Return the JSON object in a file.
 
     Args:
         path: of the file.
@@ -115,5 +115,5 @@ def require_writable(path: Path) -> None:
 
 
 def temporary_file(folder: Path, name: str) -> tuple[int, str]:
-    """A new file beside the file ``name``: its handle and its path."""
+    """Make a file beside the file ``name``, and return its handle and its path."""
     return tempfile.mkstemp(dir=folder, prefix=f".{name}.")

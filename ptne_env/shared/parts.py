@@ -162,13 +162,12 @@ def checked(check: Callable[..., Any], *limits: Any, default: Any = MISSING) -> 
 @dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(field, checked))
 @dataclass(frozen=True, eq=False, repr=False)
 class Part:
-    """The base class of parts. A subclass is a frozen dataclass without further ado: its fields are its arguments.
+    """The base class of parts. Every subclass becomes a frozen dataclass, whose fields are its arguments.
 
-    A subclass declares fields and derives everything else in (cached) properties. So the fields say all about an
-    object, and :meth:`FactorySpec.of` reads them. One field is checked by :func:`checked`, several together in
-    ``__post_init__``, which calls that of its base. Arrays and lists that are given are copied, arrays to read-only
-    arrays and lists to tuples. Two parts are equal if they have the same class and equal fields, where arrays, lists
-    and tuples with the same entries are equal.
+    A subclass declares fields and derives everything else in (cached) properties, so that :meth:`FactorySpec.of` can
+    read an object off its fields. :func:`checked` checks one field, ``__post_init__``, which calls that of its base,
+    several together. Arrays are copied to read-only arrays, and lists to tuples. Two parts are equal if they have the
+    same class and equal fields, where arrays, lists and tuples with the same entries are equal.
 
     A subclass may turn a field of its base into a class attribute: ``clock: ClassVar[str] = "physical"``.
 
@@ -203,14 +202,14 @@ class Part:
         cls.__init__ = __init__  # type: ignore[assignment,method-assign]  # it takes the fields, as assign does
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            if "check" in each.metadata:
-                check, limits = each.metadata["check"], each.metadata["limits"]
-                vars(self)[each.name] = check(each.name, getattr(self, each.name), *limits)
+        for argument in fields(self):
+            if "check" in argument.metadata:
+                check, limits = argument.metadata["check"], argument.metadata["limits"]
+                vars(self)[argument.name] = check(argument.name, getattr(self, argument.name), *limits)
 
     @cached_property
     def _values(self) -> tuple[Any, ...]:
-        return tuple(as_tuples(getattr(self, each.name)) for each in fields(self))
+        return tuple(as_tuples(getattr(self, argument.name)) for argument in fields(self))
 
     def __eq__(self, other: object) -> bool:
         return self is other or (type(self) is type(other) and self._values == other._values)
@@ -226,11 +225,11 @@ class Part:
 def _changed_fields(part: Part) -> dict[str, Any]:
     """Return the fields of a part that differ from their defaults, by name."""
     values = {}
-    for each in fields(part):
-        default = each.default if each.default_factory is MISSING else each.default_factory()
-        value = getattr(part, each.name)
+    for argument in fields(part):
+        default = argument.default if argument.default_factory is MISSING else argument.default_factory()
+        value = getattr(part, argument.name)
         if default is MISSING or as_tuples(value) != as_tuples(default):
-            values[each.name] = value
+            values[argument.name] = value
     return values
 
 
@@ -251,7 +250,7 @@ def as_tuples(value: Any) -> Any:
 
 
 def _target(definition: Any) -> str:
-    """``module:object`` of a class or a function; the package that exports it stands for its module.
+    """Return the ``module:object`` that names a class or a function, with the package that exports it as the module.
 
     Raises:
         ValueError: when no module has it under its name.
@@ -363,13 +362,13 @@ class FactorySpec:
             raise ValueError(f"part {self.target!r} refuses its arguments {names}: {error}{advice}") from error
 
     def to_dict(self) -> dict[str, Any]:
-        """A JSON object ``{"target": ..., "arguments": {...}}``."""
+        """Return a JSON object ``{"target": ..., "arguments": {...}}``."""
         arguments = {name: _replace_specs(value, FactorySpec.to_dict, list) for name, value in self.arguments}
         return {"target": self.target, "arguments": arguments}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> FactorySpec:
-        """The inverse of :meth:`to_dict`.
+        """Make a spec from a JSON object, the inverse of :meth:`to_dict`.
 
         Raises:
             ValueError: unless the keys are ``target``, a string, and optionally ``arguments``, an object or its

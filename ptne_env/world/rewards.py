@@ -43,7 +43,7 @@ class Term(NamedTuple):
 
 
 def _minus(loss: Callable[[FloatArray], FloatArray], state: State) -> FloatArray:
-    """Minus the loss at the real strategies, clipped to ±REWARD_LIMIT."""
+    """Return minus the loss at the real strategies, clipped to ±REWARD_LIMIT."""
     with np.errstate(over="ignore", invalid="ignore"):  # a cost may overflow where no own gradient does
         reward = -loss(dynamics.strategies(state))
     result: FloatArray = array_namespace(reward).clip(reward, -REWARD_LIMIT, REWARD_LIMIT)
@@ -123,7 +123,7 @@ class Reward:
         self._values, self._was_diverged = self._measure(state, self._gains), state.diverged
 
     def step(self, state: State) -> dict[str, FloatArray]:
-        """The value of each term for the step that ended in ``state``, each of shape (N, B).
+        """Return the value of each term for the step that ended in ``state``, each of shape (N, B).
 
         An episode that diverges in the step is charged for all that remain, and no more afterwards.
         """
@@ -140,7 +140,7 @@ class Reward:
         return terms
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
-        """The weighted sum of the terms, shape (N, B)."""
+        """Return the weighted sum of the terms, shape (N, B)."""
         (first, weight), *others = self.weights.items()
         total = terms[first] if weight == 1 else weight * terms[first]
         for name, weight in others:
@@ -148,7 +148,7 @@ class Reward:
         return total
 
     def _measure(self, state: State, names: Iterable[str]) -> dict[str, FloatArray]:
-        """The values of terms in a state, the worst ones where an environment has diverged."""
+        """Return the values of terms in a state, the worst ones where an environment has diverged."""
         self.distances, values = measure_distances(state), {}
         if not state.any_diverged:
             for name in names:  # a comprehension would take longer
@@ -163,13 +163,13 @@ class Reward:
 
 
 def measure_distances(state: State) -> FloatArray:
-    """d^i, shape (N, B), with the limit where an environment has diverged."""
+    """Return d^i, shape (N, B), with the limit where an environment has diverged."""
     distance = distances.player_distances(state.estimates, state.game)
     return limit_distance(state, distance) if state.any_diverged else distance
 
 
 def limit_distance(state: State, distance: FloatArray) -> FloatArray:
-    """A relative distance (..., B), with the limit where an environment has diverged."""
+    """Return a relative distance (..., B), with the limit where an environment has diverged."""
     if not state.any_diverged:
         return distance
     return array_namespace(distance).where(state.diverged, dynamics.distance_limit(state.game), distance)
