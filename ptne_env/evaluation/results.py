@@ -8,7 +8,7 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,8 +25,9 @@ from ptne_env.evaluation.statistics import STATISTICS, Summary, estimate
 from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import DamagedFileError, read_json
+from ptne_env.shared.names import unknown_name
 
-FORMAT = 7
+FORMAT = 8
 """The version of ``results.json``; a file of another version is refused."""
 
 LARGEST_FILE = 32 * 2**20
@@ -36,7 +37,10 @@ _FORMULA = re.compile(r"(^|[,;\t]\s*)([=+\-@\t\r])")
 """What a spreadsheet takes for the beginning of a formula, at the beginning of a text or of a part of it."""
 
 Record: TypeAlias = dict[str, Any]
-"""Keys: track, policy, metric, mean, low, high, episodes; the numbers are ``None`` where no episode has a value."""
+"""Keys: track, policy, metric, mean, low, high, episodes; the numbers are ``None`` as in a :class:`Summary`."""
+
+SHOWN = ("digits", "digits_on_the_way", "digits_cvar")
+"""The metrics of every table: the score, that which breaks ties, and that which shows bad episodes."""
 
 Samples: TypeAlias = dict[str, FloatArray]
 """Per metric, shape (training seeds, episodes), NaN where an episode has no value; a timing is repeated."""
@@ -45,13 +49,15 @@ Place: TypeAlias = tuple[str, str]
 """The names of a track and of a policy."""
 
 
-def standing(digits: Summary | None, mean_regret: Summary | None) -> tuple[float, float]:
-    """Return the key by which policies are ranked, the least first: digits to two decimals, then the mean regret.
+def standing(digits: Summary | None, on_the_way: Summary | None) -> tuple[float, float]:
+    """Return the key by which policies are ranked, the least first: digits to two decimals, then those on the way.
 
     So of several policies with all twelve digits, the one that was fast stands first. No value is the worst.
     """
-    reached = -math.inf if digits is None or digits.mean is None else round(digits.mean, 2)
-    return -reached, math.inf if mean_regret is None or mean_regret.mean is None else mean_regret.mean
+    at_deadline, before = (
+        -math.inf if summary is None or summary.mean is None else summary.mean for summary in (digits, on_the_way)
+    )
+    return -round(at_deadline, 2), -before
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +91,11 @@ class Results:
         return {track: episodes.count for track, episodes in self.episode_sets.items()}
 
     @property
+    def counted_tracks(self) -> list[str]:
+        """The names of the scored tracks, or of all tracks where none is scored."""
+        return [track.name for track in self.tracks if track.scored] or [track.name for track in self.tracks]
+
+    @property
     def seed(self) -> int:
         """The seed of the episode sets."""
         return next(iter(self.episode_sets.values())).seed
@@ -100,20 +111,45 @@ class Results:
         return all(episodes.track is None for episodes in self.episode_sets.values())
 
     @cached_property
-    def records(self) -> tuple[Record, ...]:
-        """One per track, policy and metric, with the mean (or CVaR) and its 95 % interval."""
-        return tuple(
-            {"track": track, "policy": policy, "metric": metric.name, **asdict(summary), "episodes": count}
-            for (track, policy), samples in self.samples.items()
-            for count in [self.episodes[track]]
-            for metric in METRICS.values()
-            if metric.source in samples
-            for summary in [estimate([STATISTICS[metric.statistic](samples[metric.source])])]
-        )
+    def reasons(self) -> dict[Place, str]:
+        """Why a policy has no values on a track, by (track, policy): ``"n/a: …"`` or ``"failed: …"``."""
+        verdicts = {"n/a": self.not_applicable, "failed": self.failures}
+        return {place: f"{verdict}: {reason}" for verdict, found in verdicts.items() for place, reason in found.items()}
 
     @cached_property
-    def _records(self) -> dict[tuple[str, str, str], Record]:
-        return {(record["track"], record["policy"], record["metric"]): record for record in self.records}
+    def _exact(self) -> set[str]:
+        """The tracks whose one episode is the same in every repetition, because nothing is random."""
+        return {track.name for track in self.tracks if self.episodes[track.name] == 1 and not track.world.is_random}
+
+    def values(self, track: str, policy: str, metric: str) -> FloatArray | None:
+        """Return the numbers per training seed and episode whose mean is a metric; ``None`` where there are none.
+
+        An episode in which nothing is random stands twice, so that its numbers are known to be constant.
+
+        Raises:
+            ValueError: for an unknown metric.
+        """
+        if metric not in METRICS:
+            raise ValueError(unknown_name("metric", metric, METRICS))
+        declared = METRICS[metric]
+        samples = self.samples.get((track, policy), {}).get(declared.source)
+        if samples is None:
+            return None
+        return np.repeat(STATISTICS[declared.statistic](samples), 2 if track in self._exact else 1, axis=1)
+
+    @cached_property
+    def _summaries(self) -> dict[tuple[str, str, str], Summary]:
+        return {
+            (*place, metric): estimate([values])
+            for place in self.samples
+            for metric in METRICS
+            if (values := self.values(*place, metric)) is not None
+        }
+
+    @cached_property
+    def records(self) -> tuple[Record, ...]:
+        """One per track, policy and metric, with the mean (or another statistic) and its 95 % interval."""
+        return tuple(self.record(*key) for key in self._summaries)
 
     def record(self, track: str, policy: str, metric: str) -> Record:
         """Return the record of one track, policy and metric.
@@ -121,17 +157,41 @@ class Results:
         Raises:
             KeyError: when there is no such record; the message says why the policy cannot act on the track or failed.
         """
-        try:
-            return self._records[track, policy, metric]
-        except KeyError:
-            reason = (self.not_applicable | self.failures).get((track, policy))
-            because = "" if reason is None else f": {reason}"
-            raise KeyError(f"no record of {metric!r} for policy {policy!r} on track {track!r}{because}") from None
+        if (summary := self.summary(track, policy, metric)) is not None:
+            names = {"track": track, "policy": policy, "metric": metric}
+            return {**names, **asdict(summary), "episodes": self.episodes[track]}
+        because = f": {reason}" if (reason := self.reasons.get((track, policy))) else ""
+        raise KeyError(f"no record of {metric!r} for policy {policy!r} on track {track!r}{because}")
 
     def summary(self, track: str, policy: str, metric: str) -> Summary | None:
         """Return the mean and interval of a record; ``None`` where there is no such record."""
-        record = self._records.get((track, policy, metric))
-        return None if record is None else Summary(record["mean"], record["low"], record["high"])
+        return self._summaries.get((track, policy, metric))
+
+    def difference(
+        self, policy: str, other: str, tracks: str | Iterable[str] | None = None, metric: str = "digits"
+    ) -> Summary:
+        """Return the mean of a metric of a policy minus that of another one, in the same episodes.
+
+        One of two policies leads if the interval of this difference is clear of 0. Two intervals of their own say less,
+        because both policies find some episodes hard.
+
+        Args:
+            policy: the name of the policy.
+            other: the name of the policy whose values are subtracted.
+            tracks: the name of a track, or several; the :attr:`counted_tracks` if left out. The mean is over those on
+                which both policies have values.
+            metric: the name of the metric.
+
+        Raises:
+            ValueError: for an unknown policy or metric.
+        """
+        for name in (policy, other):
+            if name not in self.policies:
+                raise ValueError(unknown_name("policy", name, self.policies))
+        names = self.counted_tracks if tracks is None else [tracks] if isinstance(tracks, str) else tracks
+        pairs = [(self.values(track, policy, metric), self.values(track, other, metric)) for track in names]
+        both = [(mine, theirs) for mine, theirs in pairs if mine is not None and theirs is not None]
+        return estimate([mine for mine, _ in both], minus=[theirs for _, theirs in both])
 
     # --- files ------------------------------------------------------------------------------------------------------
 
@@ -219,7 +279,7 @@ class Results:
 
     def standing(self, track: str, policy: str) -> tuple[float, float]:
         """Return the :func:`standing` of a policy on a track."""
-        return standing(self.summary(track, policy, "digits"), self.summary(track, policy, "mean_regret"))
+        return standing(self.summary(track, policy, "digits"), self.summary(track, policy, "digits_on_the_way"))
 
     def ranked(self, track: str) -> dict[str, Summary]:
         """Return the digits on a track of the policies that have a value there, the best first."""
@@ -236,24 +296,20 @@ class Results:
         return f"<Results of {self.name}: {policies} on {tracks}, seed {self.seed}{failed}>"
 
     def __str__(self) -> str:
-        """Return a line per track and policy, the best first: digits with their 95 % interval, and the mean regret.
+        """Return a line per track and policy, the best first: digits with their 95 % interval, and those beside them.
 
-        Policies that failed come last on a track, with the reason.
+        Policies without values come last on a track, with the reason.
         """
         lines = [repr(self)]
         for track in self.tracks:
             count = self.episodes[track.name]
-            lines += ["", f"{track.name}, {count} episode{'s' * (count > 1)}: digits, mean regret"]
-            cells = {
-                self._label(name): (_with_interval(digits), self.summary(track.name, name, "mean_regret"))
-                for name, digits in self.ranked(track.name).items()
-            }
-            width = max(map(len, cells), default=0)
-            lines += [
-                f"  {policy:<{width}}  {digits}, {number(regret.mean if regret else None)}"
-                for policy, (digits, regret) in cells.items()
-            ]
-            lines += [f"  {name} failed: {why}" for (on, name), why in self.failures.items() if on == track.name]
+            lines += ["", f"{track.name}, {count} episode{'s' * (count > 1)}: digits, on the way, worst tenth"]
+            digits = self.ranked(track.name)
+            width = max((len(self._label(name)) for name in digits), default=0)
+            for name in digits:
+                cells = [_with_interval(self.summary(track.name, name, metric)) for metric in SHOWN]
+                lines.append(f"  {self._label(name):<{width}}  {', '.join(cells)}")
+            lines += [f"  {name} {why}" for (place, name), why in self.reasons.items() if place == track.name]
         return "\n".join(lines)
 
 
@@ -279,9 +335,14 @@ def read_results(path: Path) -> dict[str, Any]:
     return data
 
 
-def _with_interval(summary: Summary) -> str:
+def _with_interval(summary: Summary | None) -> str:
     """Format a mean with its interval, where the two differ."""
-    mean, low, high = map(number, (summary.mean, summary.low, summary.high))
+    if summary is None or summary.mean is None:
+        return number(None)
+    mean = number(summary.mean)
+    if summary.low is None:
+        return f"{mean} (no interval)"
+    low, high = number(summary.low), number(summary.high)
     return mean if low == high else f"{mean} [{low}, {high}]"
 
 

@@ -20,44 +20,73 @@ Scores: TypeAlias = Sequence[FloatArray]
 
 @dataclass(frozen=True)
 class Summary:
-    """A mean with the ends of its 95 % interval; all ``None`` when no episode has a value."""
+    """A mean with the ends of its 95 % interval.
+
+    All are ``None`` where no episode has a value, and the ends where nothing tells how much the mean varies.
+    """
 
     mean: float | None
     low: float | None
     high: float | None
 
 
-def estimate(scores: Scores) -> Summary:
+def estimate(scores: Scores, minus: Scores | None = None) -> Summary:
     """Return the mean over tracks of the means of a policy, with its two-level interval.
 
     Training seeds are drawn once for all tracks, because the quality of a network affects all of them; the episodes of
-    a track are drawn once for all training seeds, because all play the same ones. The variance of the mean is therefore
-    the sum of two parts: V_s = var(means of the S training seeds)/S, and V_e = Σ var(means of the E episodes)/E over
-    tracks, over the square of their number. The interval is mean ± t_ν √(V_s + V_e) with the degrees of freedom of
-    Welch and Satterthwaite, ν = V²/Σ V_p²/ν_p. One training seed has no V_s, and one episode no V_e.
+    a track are drawn once for all training seeds, because all play the same ones. With V_s = var(means of the S
+    training seeds)/S, V_e = var(means of the E episodes)/E and V_c = (mean square of the interaction)/(S E), which both
+    contain, the variance of the mean is V_s + V_e − V_c, and the interval is mean ± √(t² V_s + t² max(V_e − V_c, 0))
+    with Student's quantiles at S − 1 and E − 1 degrees of freedom (Howe 1974). V_e and V_c are sums over tracks, over
+    the square of their number; the degrees of freedom of a sum are those of Satterthwaite. One training seed
+    has neither V_s nor V_c.
 
     Args:
         scores: per track, with the same training seeds in all tracks; NaN where an episode of the only track has no
             value.
+        minus: the scores of another policy in the same episodes: the estimate is then of the mean of the differences,
+            in which each policy has its V_s and V_c.
 
     Returns:
-        The mean and its interval. A constant has low = high = mean; all are ``None`` where no episode has a value.
+        The mean and its interval. A constant has low = high = mean; one episode has no interval; all are ``None`` where
+        no episode has a value.
     """
-    finite = [np.where(np.isfinite(track), track, np.nan)[np.isfinite(track).any(axis=1)] for track in scores]
-    if not finite or not all(track.size for track in finite):
+    policies = [scores] if minus is None else [scores, minus]
+    of_seeds: list[list[FloatArray]] = [[] for _ in policies]
+    of_episodes: list[FloatArray] = []
+    middle = interaction = 0.0
+    for arrays in zip(*policies, strict=True):
+        valued = np.logical_and.reduce([np.isfinite(array).any(axis=0) for array in arrays])
+        if not valued.any():
+            return Summary(None, None, None)
+        contrast = np.zeros(np.count_nonzero(valued))
+        for sign, array, means in zip((1, -1), arrays, of_seeds, strict=False):
+            values = np.where(np.isfinite(array), array, np.nan)[:, valued]
+            values = values[np.isfinite(values).any(axis=1)]
+            shift = float(np.nanmin(values))  # so that a constant keeps its last bit
+            values = values - shift
+            mean, by_seed, by_episode = (
+                float(np.nanmean(values)),
+                np.nanmean(values, axis=1),
+                np.nanmean(values, axis=0),
+            )
+            means.append(by_seed)
+            contrast += sign * by_episode
+            middle += sign * (shift + mean)
+            if min(values.shape) > 1:
+                squares = (values - by_seed[:, None] - by_episode + mean) ** 2
+                interaction += float(np.nanmean(squares)) / np.prod(np.subtract(values.shape, 1)) / len(scores) ** 2
+        of_episodes.append(contrast / len(scores))
+    if not of_episodes:
         return Summary(None, None, None)
-    lowest, highest = (float(pick([pick(track) for track in finite])) for pick in (np.nanmin, np.nanmax))
-    if lowest == highest:
-        return Summary(lowest, lowest, lowest)
-    by_seed = np.mean([np.nanmean(track, axis=1) for track in finite], axis=0)
-    by_episode = [np.nanmean(track[:, np.isfinite(track).any(axis=0)], axis=0) for track in finite]
-    middle = float(np.mean([np.nanmean(track) for track in finite]))
-    parts = [_variance_of_mean(by_seed), *(_variance_of_mean(values / len(finite)) for values in by_episode)]
-    variance = sum(part for part, _ in parts)
-    if variance == 0:
-        return Summary(middle, middle, middle)
-    freedom = 1 / sum((part / variance) ** 2 / count for part, count in parts if count)  # squares may underflow
-    half = float(special.stdtrit(freedom, (1 + CONFIDENCE) / 2) * np.sqrt(variance))
+    middle /= len(scores)
+    if min(map(len, of_episodes)) == 1:
+        return Summary(middle, None, None)
+    episode_parts = [_variance_of_mean(contrast) for contrast in of_episodes]
+    seed_parts = [_variance_of_mean(np.mean(means, axis=0)) for means in of_seeds]
+    by_episodes = max(sum(part for part, _ in episode_parts) - interaction, 0.0)
+    by_seeds = sum(part for part, _ in seed_parts)
+    half = (_squared_quantile(seed_parts) * by_seeds + _squared_quantile(episode_parts) * by_episodes) ** 0.5
     return Summary(middle, middle - half, middle + half)
 
 
@@ -67,11 +96,22 @@ def _variance_of_mean(values: FloatArray) -> tuple[float, int]:
     return (float(values.var(ddof=1)) / count, count - 1) if count > 1 else (0.0, 0)
 
 
+def _squared_quantile(parts: Sequence[tuple[float, int]]) -> float:
+    """Return the square of Student's quantile for a sum of variances with these degrees of freedom; 0 if it is 0."""
+    variance = sum(part for part, _ in parts)
+    if variance == 0:
+        return 0.0
+    freedom = 1 / sum((part / variance) ** 2 / count for part, count in parts if count)  # squares may underflow
+    return float(special.stdtrit(freedom, (1 + CONFIDENCE) / 2) ** 2)
+
+
 def tail_values(samples: FloatArray) -> FloatArray:
     """Return values whose mean is the conditional value at risk, the mean of the worst tenth of the episodes.
 
-    The worst tenth has k ≥ 1 of the E episodes. With q the best of these, x becomes q + min(x − q, 0) E/k (Rockafellar
-    and Uryasev 2000). The interval of the mean is that of the CVaR, because q moves it in second order only.
+    The worst tenth has k ≥ 1 of the E episodes. With q the worst of the others, x becomes q + min(x − q, 0) E/k
+    (Rockafellar and Uryasev 2000). The interval of the mean is that of the CVaR, because q moves it in second order
+    only. As it rests on k episodes, deviations from the mean are stretched by the ratio of Student's quantiles at k and
+    E − 1 degrees of freedom.
 
     Args:
         samples: shape (training seeds, episodes); low values are bad.
@@ -80,12 +120,44 @@ def tail_values(samples: FloatArray) -> FloatArray:
         The same shape; NaN everywhere if a sample is NaN.
     """
     episodes = samples.shape[-1]
-    count = max(1, episodes // 10)
-    quantile = np.partition(samples, count - 1, axis=-1)[..., count - 1 : count]
+    if episodes == 1:
+        return samples
     if not np.isfinite(samples).all():
         return np.full_like(samples, np.nan)
-    return quantile + np.minimum(samples - quantile, 0) * (episodes / count)
+    count = max(1, episodes // 10)
+    quantile = np.partition(samples, count, axis=-1)[..., count : count + 1]
+    excess = np.minimum(samples - quantile, 0) * (episodes / count)
+    mean = excess.mean(axis=-1, keepdims=True)
+    at_tail, at_all = special.stdtrit([count, episodes - 1], (1 + CONFIDENCE) / 2)
+    values: FloatArray = quantile + mean + (excess - mean) * (at_tail / at_all)
+    return values
 
 
-STATISTICS: Mapping[str, Callable[[FloatArray], FloatArray]] = {"mean": lambda samples: samples, "cvar": tail_values}
+def median_values(samples: FloatArray) -> FloatArray:
+    """Return values whose mean is the median over episodes, and whose variance is that of the median.
+
+    They are the median ± d √E/z, upper for the episodes above it, where z = 1.96 and 2 d is the length of the interval
+    of order statistics at the ranks E/2 ± z √E/2 (Woodruff 1952).
+
+    Args:
+        samples: shape (training seeds, episodes).
+
+    Returns:
+        The same shape; NaN everywhere if a sample is NaN.
+    """
+    if not np.isfinite(samples).all():
+        return np.full_like(samples, np.nan)
+    episodes, z = samples.shape[-1], special.ndtri((1 + CONFIDENCE) / 2)
+    reach = min(0.5, z / 2 / episodes**0.5)
+    low, median, high = np.quantile(samples, [0.5 - reach, 0.5, 0.5 + reach], axis=-1, keepdims=True)
+    sides = np.sign(samples - median)
+    centred: FloatArray = sides - sides.mean(axis=-1, keepdims=True)
+    return median + (high - low) / 2 * episodes**0.5 / z * centred
+
+
+STATISTICS: Mapping[str, Callable[[FloatArray], FloatArray]] = {
+    "mean": lambda samples: samples,
+    "cvar": tail_values,
+    "median": median_values,
+}
 """Statistics over episodes by name: functions from samples to values of the same shape whose mean is the statistic."""

@@ -252,7 +252,7 @@ def _overlap(old: FloatArray, new: FloatArray) -> bool:
     if old.size < 2 or old.shape != new.shape:
         return old.shape == new.shape
     mine, theirs = estimate([new[None]]), estimate([old[None]])
-    if mine.mean is None or theirs.mean is None:
-        return mine.mean is theirs.mean
+    if mine.low is None or theirs.mean is None or theirs.low is None:
+        return (mine.mean is None) == (theirs.mean is None)
     slack = 1e-3 * (1 + abs(theirs.mean))
     return mine.low - slack <= theirs.high and theirs.low - slack <= mine.high  # type: ignore[operator]

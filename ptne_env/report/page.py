@@ -21,7 +21,7 @@ import numpy as np
 from ptne_env._version import __version__
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.policy_spec import PolicySpec
-from ptne_env.evaluation.results import Results
+from ptne_env.evaluation.results import SHOWN, Results
 from ptne_env.evaluation.statistics import Summary
 from ptne_env.evaluation.tracks import Track
 from ptne_env.execution.workers import Workers
@@ -34,7 +34,7 @@ from ptne_env.report.tables import (
     leaders,
     means_over_tracks,
     order_policies,
-    regret_table,
+    track_table,
     track_tables,
 )
 from ptne_env.report.traces import Scene, make_scene
@@ -70,7 +70,7 @@ class DotPlot:
     @property
     def ticks(self) -> list[int]:
         """Whole numbers of digits from below the least value, and 0, to above the largest."""
-        ends = [end for row in self.rows.values() for digits in row.values() for end in (digits.low, digits.high)]
+        ends = [end for row in self.rows.values() for digits in row.values() for end in vars(digits).values()]
         low, high = math.floor(min([0.0, *filter(None, ends)])), math.ceil(max([1.0, *filter(None, ends)]))
         step = 1 if high - low <= 8 else 2
         return list(range(step * math.floor(low / step), min(MOST_DIGITS, high + step - 1) + 1, step))
@@ -201,9 +201,13 @@ def results_page(
             Section(
                 "Results",
                 "Digits are −log10 of the relative distance of all players' estimates from the equilibrium, counted up "
-                "to 12. The mean regret is what the players lose on the way there. Click a heading to sort by it; a "
+                "to 12. Digits on the way are the mean after every step. Click a heading to sort by it; a "
                 "shadow at an edge shows that the table continues there.",
-                (answer_table(results), regret_table(results), *([] if board is None else [board])),
+                (
+                    answer_table(results),
+                    *(track_table(results, metric) for metric in SHOWN[1:]),
+                    *([] if board is None else [board]),
+                ),
             ),
             Section(
                 "Episode player",

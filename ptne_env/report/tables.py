@@ -5,29 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from ptne_env.evaluation.metrics import METRICS, number
 from ptne_env.evaluation.policy_spec import POLICIES
-from ptne_env.evaluation.results import Results, standing
+from ptne_env.evaluation.results import SHOWN, Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
 from ptne_env.execution.verification import Repetition, Verification
 from ptne_env.suites.suite import LAW, Row, leaderboard
 from ptne_env.theory import Certificate
 
-FIRST_MARGIN = 0.1
-"""Policies share the first place on a track if their intervals come within this many digits of the best mean."""
-
 ORACLE_NOTE = "* an oracle: it uses information that players lack, and has no rank"
 DIGITS_NOTE = "digits: 2 is an error of all estimates of 1 %, 3 is an error of 0.1 %; 12 at most"
-REGRET_NOTE = "mean regret: averaged over the way to the deadline; 1 is that of standing still at the start"
+BESIDE_NOTE = "on the way: mean digits after every step; worst tenth: mean digits of the worst tenth of the episodes"
 
 _SHOWN_DIFFERENCES = 10
 """Number of differences of a verification that are listed."""
 
-MEAN_REGRET = "mean regret"
-"""The heading of the metric as a row and as a column."""
+BESIDE = "on the way", "worst tenth"
+"""The rows and columns beside the digits at the deadline: those of the other metrics of every table."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +46,17 @@ class Cell:
         """Return the cell of a summary, or of a number without an interval; a dash for ``None``."""
         summary = quantity if isinstance(quantity, Summary) else Summary(quantity, quantity, quantity)
         low, high = number(summary.low), number(summary.high)
-        return cls(number(summary.mean), summary.mean, "" if low == high else f"[{low}, {high}]")
+        interval = "" if low == high else f"[{low}, {high}]"
+        lacks_one = summary.low is None and summary.mean is not None
+        return cls(number(summary.mean), summary.mean, "n/a" if lacks_one else interval)
 
     @classmethod
     def plus_minus(cls, summary: Summary | None) -> Cell:
         """Return the cell of digits: the mean with two decimals, ± half of its interval."""
-        if summary is None or summary.mean is None or summary.high is None:
+        if summary is None or summary.mean is None:
             return cls()
-        half, text = _two_decimals(summary.high - summary.mean), _two_decimals(summary.mean)
+        half = "n/a" if summary.high is None else _two_decimals(summary.high - summary.mean)
+        text = _two_decimals(summary.mean)
         return cls(text if half == "0.00" else f"{text} ±{half}", summary.mean)
 
 
@@ -139,22 +137,22 @@ def join_words(words: Sequence[str], most: int | None = None) -> str:
 def answer_table(results: Results) -> Table:
     """Return the digits on every track: a row per track and a column per policy, as :func:`order_policies` has them.
 
-    The last rows are the means of digits (the score of a suite) and of mean regrets over all scored tracks. In a
-    comparison only policies that play all tracks have them.
+    The last rows are the means over all scored tracks of digits (the score of a suite), of digits on the way, and of
+    digits in the worst tenth of the episodes. In a comparison only policies that play all tracks have them.
     """
     tracks, means = [track.name for track in results.tracks], means_over_tracks(results)
-    score = f"mean of {len(tracks)}" if results.is_comparison else "score"
+    score = (f"mean of {len(tracks)}" if results.is_comparison else "score") if len(tracks) > 1 else ""
     columns = []
     for name in order_policies(results):
-        cells = {track: Cell.plus_minus(results.summary(track, name, "digits")) for track in tracks}
-        cells |= {track: Cell("failed") for track, policy in results.failures if policy == name}
+        cells = _make_cells(results, name, "digits")
         if name in means:
-            digits, regret = means[name]
-            cells |= {score: Cell.plus_minus(digits), MEAN_REGRET: Cell.of(regret.mean)}
+            cells |= dict(zip((score, *BESIDE), map(Cell.plus_minus, means[name]), strict=True))
         columns.append(Column(_mark_oracle(results, name), cells, f"digits of {name}"))
     counts = sorted({results.episodes[track] for track in tracks})
     episodes = " to ".join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))
-    notes = [DIGITS_NOTE, REGRET_NOTE]
+    notes = [DIGITS_NOTE, BESIDE_NOTE]
+    if any("n/a" in cell.text and cell.value is not None for column in columns for cell in column.cells.values()):
+        notes.append("±n/a: one random episode has no interval")
     if unscored := [track.name for track in results.tracks if not track.scored]:
         notes.append(f"score: the mean of all tracks but {', '.join(unscored)}")
     if any(spec.is_oracle for spec in results.policies.values()):
@@ -162,81 +160,97 @@ def answer_table(results: Results) -> Table:
     return Table(
         f"Digits at the deadline ± half of the 95 % interval, {episodes} episode{'s' * (counts[-1] > 1)}",
         "scenario" if results.is_comparison else "track",
-        (*tracks, score, MEAN_REGRET) if len(tracks) > 1 and means else (*tracks, MEAN_REGRET),
+        tuple(filter(None, (*tracks, score, *BESIDE))) if means else tuple(tracks),
         tuple(columns),
-        tuple(notes),
+        (*notes, *_list_reasons(results, tracks)),
     )
 
 
-def regret_table(results: Results) -> Table:
-    """Return the mean regret on every track: a row per track and a column per policy."""
-    tracks = [track.name for track in results.tracks]
-    columns = (
-        Column(
-            _mark_oracle(results, name),
-            {
-                track: Cell.of(regret.mean)
-                for track in tracks
-                if (regret := results.summary(track, name, "mean_regret")) is not None
-            },
-            f"mean regret of {name}",
-        )
+def track_table(results: Results, metric: str) -> Table:
+    """Return a metric on every track: a row per track and a column per policy."""
+    columns = tuple(
+        Column(_mark_oracle(results, name), _make_cells(results, name, metric), f"{METRICS[metric].heading} of {name}")
         for name in order_policies(results)
     )
-    return Table("Mean regret until the deadline", "track", tuple(tracks), tuple(columns), (REGRET_NOTE,))
+    tracks = tuple(track.name for track in results.tracks)
+    return Table(METRICS[metric].heading.capitalize(), "track", tracks, columns, (BESIDE_NOTE,))
 
 
-def answer(results: Results) -> tuple[str, ...]:
-    """Return one or two sentences: who comes closest to the equilibrium, and how far the paper's law is behind."""
-    firsts = first_places(results)
-    tracks = [track.name for track in results.tracks if track.scored] or [track.name for track in results.tracks]
-    if not any(firsts.values()):
-        return ("No policy without an oracle's information has a result.",)
-    best = next(name for name in _rank_policies(results) if name in firsts)
-    noun, count = "scenario" if results.is_comparison else "track", len(tracks)
-    if len(firsts) == 1:
-        return (f"{best} was compared with no other policy; --policy names others.",)
-    where = f"on {tracks[0]}"
-    if count > 1:
-        near = f"or with its interval within {FIRST_MARGIN:g} digits of the closest"
-        where = f"{near}, on {len(firsts[best])} of {count} {noun}s"
-    equal = [name for name in _rank_policies(results) if firsts.get(name) == firsts[best]]
-    come = "comes closest" if len(equal) == 1 else "cannot be told apart: they come closest"
-    sentences = [f"{join_words(equal)} {come} to the Nash equilibrium by the deadline{',' * (count > 1)} {where}."]
-    ends = [digits for track in tracks if LAW in (digits := _ends_of_digits(results, track))]
-    gaps = [max(digits.values())[0] - digits[LAW][0] for digits in ends]
-    if gaps and LAW not in equal:
-        sentences.append(
-            f"The paper's law ({LAW}) is {sum(gaps) / len(gaps):.2f} digits behind the closest"
-            + f" on average, {max(gaps):.2f} at most" * (len(gaps) > 1)
-            + "; a digit is a factor of ten in the distance from the equilibrium."
-        )
-    return tuple(sentences)
-
-
-def first_places(results: Results) -> dict[str, list[str]]:
-    """Return the scored tracks on which each policy, oracles apart, has a first place; see :data:`FIRST_MARGIN`."""
-    firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if not spec.is_oracle}
-    for track in results.tracks:
-        ends = _ends_of_digits(results, track.name) if track.scored else {}
-        best = max((mean for mean, _ in ends.values()), default=0.0)
-        for name, (_, high) in ends.items():
-            if high >= best - FIRST_MARGIN:
-                firsts[name].append(track.name)
-    return firsts
-
-
-def _ends_of_digits(results: Results, track: str) -> dict[str, tuple[float, float]]:
-    """Return the mean and the upper end of its interval of all policies with digits on a track, oracles apart."""
+def _make_cells(results: Results, policy: str, metric: str) -> dict[str, Cell]:
+    """Return the cells of digits of a policy by track."""
     return {
-        name: (digits.mean, digits.high)
-        for name, digits in results.ranked(track).items()
-        if digits.mean is not None and digits.high is not None and not results.policies[name].is_oracle
+        track.name: _find_verdict(results, track.name, policy)
+        or Cell.plus_minus(results.summary(track.name, policy, metric))
+        for track in results.tracks
     }
 
 
+def answer(results: Results) -> tuple[str, ...]:
+    """Return sentences: who comes closest to the equilibrium, and what the paper's law and policies of the user do.
+
+    One policy leads another one where the 95 % interval of their difference, paired by episodes, is clear of 0.
+    """
+    firsts, tracks = first_places(results), results.counted_tracks
+    noun = "scenario" if results.is_comparison else "track"
+    ranked = [name for name in _rank_policies(results) if name in firsts and _list_tracks(results, name)]
+    own = [name for name in firsts if name not in POLICIES]
+    sentences = []
+    if not ranked:
+        sentences.append("No policy without an oracle's information has a result.")
+    elif len(firsts) == 1:
+        sentences.append(f"{ranked[0]} was compared with no other policy; --policy names others.")
+    else:
+        where = f" on {tracks[0]}"
+        if len(tracks) > 1:
+            where = f", or no other policy leads there, on {len(firsts[ranked[0]])} of {len(tracks)} {noun}s"
+        equal = [name for name in ranked if firsts[name] == firsts[ranked[0]]]
+        come = "comes closest" if len(equal) == 1 else "cannot be told apart: they come closest"
+        sentences.append(f"{join_words(equal)} {come} to the Nash equilibrium by the deadline{where}.")
+        others = [name for name in ranked if (name == LAW or name in own) and name not in equal]
+        sentences += [_compare(results, ranked[0], other, noun) for other in others]
+    for name in own:
+        if missing := [track for track, policy in results.reasons if policy == name]:
+            sentences.append(f"{name} has no result on {join_words(missing, most=3)}, for the reason below the table.")
+    return tuple(sentences)
+
+
+def _compare(results: Results, best: str, other: str, noun: str) -> str:
+    """Return a sentence about the digits by which the best policy leads another one."""
+    shared = [track for track in _list_tracks(results, best) if track in _list_tracks(results, other)]
+    difference, name = results.difference(best, other, shared), f"the paper's law ({LAW})" if other == LAW else other
+    if difference.mean is None:
+        return f"{best} and {name} have no {noun} in common."
+    where = f"on {shared[0]}" if len(shared) == 1 else f"on average over {len(shared)} {noun}s"
+    if difference.low is None or difference.high is None:
+        return f"{best} is {difference.mean:.2f} digits ahead of {name} {where}; one episode has no interval."
+    digits = f"{difference.mean:.2f} digits [{difference.low:.2f}, {difference.high:.2f}] {where}"
+    if difference.low > 0:
+        return f"{best} leads {name} by {digits}."
+    return f"{best} and {name} cannot be told apart: they differ by {digits}."
+
+
+def first_places(results: Results) -> dict[str, list[str]]:
+    """Return the counted tracks on which each policy, oracles apart, is first.
+
+    First are the best policy, and those from which the interval of its lead is not clear of 0.
+    """
+    firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if not spec.is_oracle}
+    for track in results.counted_tracks:
+        best, *others = [name for name in results.ranked(track) if name in firsts] or [""]
+        leads = {other: results.difference(best, other, track) for other in others}
+        equal = [other for other, lead in leads.items() if lead.low is not None and lead.low <= 0]
+        for name in filter(None, [best, *equal]):
+            firsts[name].append(track)
+    return firsts
+
+
+def _list_tracks(results: Results, policy: str) -> list[str]:
+    """Return the counted tracks on which a policy has values."""
+    return [track for track in results.counted_tracks if (track, policy) in results.samples]
+
+
 def order_policies(results: Results) -> list[str]:
-    """Return the policies that act somewhere: :func:`leaders`, oracles, then the rest, each group by rank.
+    """Return all policies: :func:`leaders`, oracles, then the rest, each group by rank.
 
     In this order the numbers that say most find room in a narrow terminal.
     """
@@ -267,58 +281,70 @@ def leaders(results: Results) -> dict[str, str]:
 
 
 def _rank_policies(results: Results) -> list[str]:
-    """Return the policies by rank: in a suite by the score, in a comparison by first places and mean digits."""
-    means, acting = means_over_tracks(results), {name for _, name in (*results.samples, *results.failures)}
-    firsts = first_places(results) if results.is_comparison else {}
+    """Return all policies by rank: by the score of a suite, or by the mean over all tracks of a comparison.
+
+    What does not play all tracks of a comparison comes after what does.
+    """
+    means = means_over_tracks(results)
 
     def key(name: str) -> tuple[bool, int, float, float]:
-        return results.policies[name].is_oracle, -len(firsts.get(name, ())), *standing(*means.get(name, (None, None)))
+        missing = 0 if name in means else sum(policy == name for _, policy in results.reasons)
+        return results.policies[name].is_oracle, missing, *standing(*means.get(name, (None, None))[:2])
 
-    return sorted((name for name in results.policies if name in acting), key=key)
+    return sorted(results.policies, key=key)
 
 
-def means_over_tracks(results: Results) -> dict[str, tuple[Summary, Summary]]:
-    """Return the means of digits and of mean regrets over the scored tracks of a suite, or all of a comparison.
+def means_over_tracks(results: Results) -> dict[str, tuple[Summary, ...]]:
+    """Return the means of :data:`SHOWN` over the scored tracks of a suite, or all of a comparison.
 
     A policy that does not act on all tracks of a comparison has none.
     """
     board = leaderboard(results)
     if board is not None:
-        return {row.policy: (row.score, row.mean_regret) for row in board}
-    tracks = [track.name for track in results.tracks]
+        return {row.policy: (row.score, row.on_the_way, row.worst_tenth) for row in board}
     means = {}
     for name in results.policies:
-        samples = [results.samples[track, name] for track in tracks if (track, name) in results.samples]
-        if len(samples) == len(tracks):
-            regrets = [values for sample in samples if np.isfinite(values := sample["mean_regret"]).any()]
-            means[name] = estimate([sample["digits"] for sample in samples]), estimate(regrets)
+        values = [[results.values(track.name, name, metric) for track in results.tracks] for metric in SHOWN]
+        whole = [[array for array in arrays if array is not None] for arrays in values]
+        if len(whole[0]) == len(results.tracks):
+            means[name] = tuple(map(estimate, whole))
     return means
 
 
 def track_tables(results: Results, track: Track) -> list[Table]:
-    """Return a table per block of metrics of a track, without the metrics and the policies that have no value there."""
-    names = [name for name in order_policies(results) if (track.name, name) in results.samples]
-    blocks: dict[str, list[Column]] = {}
+    """Return a table per block of metrics of a track, without the metrics that have no value there."""
+    names, blocks = order_policies(results), dict[str, list[Column]]()
     for metric in METRICS.values():
-        cells = {_mark_oracle(results, name): Cell.of(results.summary(track.name, name, metric.name)) for name in names}
+        cells = {
+            _mark_oracle(results, name): _find_verdict(results, track.name, name)
+            or Cell.of(results.summary(track.name, name, metric.name))
+            for name in names
+        }
         if any(cell.value is not None for cell in cells.values()):
             blocks.setdefault(metric.block, []).append(Column(metric.label, cells, metric.meaning))
-    rows = tuple(_mark_oracle(results, name) for name in names)
-    notes = _without_values(results, track.name)
+    rows, notes = tuple(_mark_oracle(results, name) for name in names), _list_reasons(results, [track.name])
     return [
         Table(f"{track.name}: {block.lower()}", "policy", rows, tuple(columns), () if index else notes)
         for index, (block, columns) in enumerate(blocks.items())
     ] or [Table(f"{track.name}: no policy has values", "policy", (), (), notes)]
 
 
-def _without_values(results: Results, track: str) -> tuple[str, ...]:
-    """Return a note for each reason why policies have no values on a track."""
-    reasons: dict[tuple[str, str], list[str]] = {}
-    for verdict, places in (("n/a", results.not_applicable), ("failed", results.failures)):
-        for (place, policy), reason in places.items():
-            if place == track:
-                reasons.setdefault((verdict, reason), []).append(policy)
-    return tuple(f"{verdict}: {', '.join(policies)}: {reason}" for (verdict, reason), policies in reasons.items())
+def _find_verdict(results: Results, track: str, policy: str) -> Cell | None:
+    """Return the cell ``n/a`` or ``failed`` of a policy that has no values on a track."""
+    reason = results.reasons.get((track, policy))
+    return None if reason is None else Cell(reason.partition(":")[0])
+
+
+def _list_reasons(results: Results, tracks: Sequence[str]) -> tuple[str, ...]:
+    """Return a note for each policy without values on some of the tracks; the reason is that of the first of them."""
+    places: dict[tuple[str, str], list[str]] = {}
+    for (track, policy), reason in results.reasons.items():
+        if track in tracks:
+            places.setdefault((policy, reason.partition(":")[0]), []).append(track)
+    return tuple(
+        f"{verdict}: {policy} on {join_words(found)}: {results.reasons[found[0], policy].partition(': ')[2]}"
+        for (policy, verdict), found in places.items()
+    )
 
 
 def leaderboard_table(results: Results) -> Table | None:
@@ -337,9 +363,8 @@ def leaderboard_table(results: Results) -> Table | None:
         tuple(rows),
         (
             column("score", "mean digits over tracks", lambda row: Cell.plus_minus(row.score)),
-            column(
-                MEAN_REGRET, "mean over tracks whose games have best responses", lambda row: Cell.of(row.mean_regret)
-            ),
+            column(BESIDE[0], "mean digits on the way over tracks", lambda row: Cell.plus_minus(row.on_the_way)),
+            column(BESIDE[1], "mean over tracks", lambda row: Cell.plus_minus(row.worst_tenth)),
             column("mean rank", "over tracks, oracles apart", lambda row: Cell.of(row.mean_rank)),
         ),
     )

@@ -11,7 +11,7 @@ import numpy as np
 from ptne_env.evaluation.comparison import Run, as_list, compare, run_serially
 from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.policy_spec import POLICIES, PolicySpec, get_policy_spec
-from ptne_env.evaluation.results import Results, standing
+from ptne_env.evaluation.results import SHOWN, Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import require_count, require_printable
@@ -182,43 +182,39 @@ class Row:
     Attributes:
         policy: the name of the policy.
         score: the mean of its digits.
-        mean_regret: its mean regret over the tracks whose games have best responses.
-        mean_rank: its mean rank by digits, 1 being best, and by mean regret where digits are equal to two decimals;
-            ``None`` for oracles.
+        on_the_way: the mean of its digits on the way.
+        worst_tenth: the mean over tracks of its digits in the worst tenth of the episodes.
+        mean_rank: its mean rank by digits, 1 being best, and by digits on the way where digits are equal to two
+            decimals; ``None`` for oracles.
     """
 
     policy: str
     score: Summary
-    mean_regret: Summary
+    on_the_way: Summary
+    worst_tenth: Summary
     mean_rank: float | None
 
 
 def leaderboard(results: Results) -> tuple[Row, ...] | None:
     """Return the rows of a suite, the best first and oracles last.
 
-    A policy that acts on no scored track has no row. The leaderboard of a comparison, or without scored tracks, is
-    ``None``.
+    The leaderboard of a comparison, or without scored tracks, is ``None``.
     """
     tracks = [track.name for track in results.tracks if track.scored]
     if results.is_comparison or not tracks:
         return None
-    acting = [name for name in results.policies if any((track, name) in results.samples for track in tracks)]
-    ranked = [name for name in acting if not results.policies[name].is_oracle]
+    ranked = [name for name, spec in results.policies.items() if not spec.is_oracle]
     ranks: dict[str, list[int]] = {name: [] for name in ranked}
     for track in tracks:
         standings = {name: results.standing(track, _counted_policy(results, track, name)) for name in ranked}
         for name, mine in standings.items():
             ranks[name].append(1 + sum(other < mine for other in standings.values()))
     rows = [
-        Row(
-            name,
-            _over_tracks(results, tracks, name, "digits"),
-            _over_tracks(results, tracks, name, "mean_regret"),
-            float(np.mean(ranks[name])) if name in ranks else None,
-        )
-        for name in acting
+        Row(name, score, on_the_way, worst_tenth, float(np.mean(ranks[name])) if name in ranks else None)
+        for name in results.policies
+        for score, on_the_way, worst_tenth in [[_over_tracks(results, tracks, name, metric) for metric in SHOWN]]
     ]
-    return tuple(sorted(rows, key=lambda row: (row.mean_rank is None, *standing(row.score, row.mean_regret))))
+    return tuple(sorted(rows, key=lambda row: (row.mean_rank is None, *standing(row.score, row.on_the_way))))
 
 
 def _counted_policy(results: Results, track: str, policy: str) -> str:
@@ -227,8 +223,7 @@ def _counted_policy(results: Results, track: str, policy: str) -> str:
 
 
 def _over_tracks(results: Results, tracks: list[str], policy: str, metric: str) -> Summary:
-    """Return the mean of a metric over the tracks on which it has values."""
+    """Return the mean of a metric over tracks."""
     seeds = len(results.policies[policy].training_seeds)
-    samples = [results.samples[track, _counted_policy(results, track, policy)][metric] for track in tracks]
-    valued = [values for values in samples if np.isfinite(values).any()]
-    return estimate([np.broadcast_to(values, (seeds, values.shape[1])) for values in valued])
+    counted = [results.values(track, _counted_policy(results, track, policy), metric) for track in tracks]
+    return estimate([np.broadcast_to(v, (seeds, v.shape[1])) for v in counted if v is not None])

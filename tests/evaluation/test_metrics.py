@@ -49,7 +49,7 @@ def test_a_metric_that_fails_is_named_with_what_was_expected(monkeypatch, value,
     [
         ({"direction": "up"}, "direction of metric 'mine' is 'higher' or 'lower' or None, got 'up'"),
         ({"block": "At what price"}, "block of metric 'mine' is 'How close' or 'At what cost', got 'At what price'"),
-        ({"statistic": "median"}, "statistic of metric 'mine' is 'mean' or 'cvar', got 'median'"),
+        ({"statistic": "mode"}, "statistic of metric 'mine' is 'mean' or 'cvar' or 'median', got 'mode'"),
         ({"value": 3.0}, "value of metric 'mine' is a function of a Rollout, got 3.0"),
         ({}, "metric 'mine' needs a value, a function of a Rollout, or the source"),
         ({"source": "digit"}, "metric 'mine' needs a value, a function of a Rollout, or the source"),

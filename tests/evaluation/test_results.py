@@ -3,10 +3,12 @@
 import csv
 import io
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 from small_suite import BASE
 
 import ptne_env
@@ -32,12 +34,43 @@ def test_the_printed_text_has_a_line_per_track_and_policy_the_best_first(results
     reason = "step 3: it answered with an action that is not finite"
     _, energy, other = str(replace(results, failures={("non-quadratic", "mine"): reason})).split("\n\n")
     title, *lines = energy.splitlines()
-    assert title == "energy, 6 episodes: digits, mean regret"
+    assert title == "energy, 6 episodes: digits, on the way, worst tenth"
     assert [line.split("  ")[1] for line in lines] == ["oracle (oracle)", "static", "zero-input", "random"]
-    mean, low, high = (number(results.record("energy", "static", "digits")[key]) for key in ("mean", "low", "high"))
-    regret = number(results.record("energy", "static", "mean_regret")["mean"])
-    assert lines[1].endswith(f"  {mean} [{low}, {high}], {regret}")
+    cells = []
+    for metric in ("digits", "digits_on_the_way", "digits_cvar"):
+        mean, low, high = (number(results.record("energy", "static", metric)[key]) for key in ("mean", "low", "high"))
+        cells.append(f"{mean} [{low}, {high}]")
+    assert lines[1].endswith("  " + ", ".join(cells))
     assert other.splitlines()[-1] == f"  mine failed: {reason}"
+
+
+def test_the_printed_text_says_why_a_policy_has_no_values_and_where_there_is_no_interval(results):
+    one = str(replace(evaluate("static", BASE, episodes=1), not_applicable={(BASE.name, "mine"): "too large"}))
+    assert len(re.findall(r"\d+ \(no interval\)", one)) == 3
+    assert one.splitlines()[-1] == "  mine n/a: too large"
+    exact = evaluate("static", ptne_env.get_scenario("energy", start="paper"))
+    record = exact.record("energy", "static", "digits")
+    assert record["episodes"] == 1
+    assert record["low"] == record["mean"] == record["high"]
+    assert re.search(r"  4\.\d+, 2\.\d+, 4\.\d+$", str(exact))
+
+
+def test_a_difference_is_paired_and_over_the_tracks_that_both_play(results):
+    mine, theirs = (results.samples["energy", name]["digits"][0] for name in ("static", "zero-input"))
+    low, high = stats.t.interval(0.95, 5, (mine - theirs).mean(), stats.sem(mine - theirs))
+    found = results.difference("static", "zero-input", "energy")
+    assert (found.mean, found.low, found.high) == pytest.approx(((mine - theirs).mean(), low, high))
+    back = results.difference("zero-input", "static", "energy")
+    assert (back.mean, back.low, back.high) == pytest.approx((-found.mean, -found.high, -found.low))
+    other = results.difference("static", "zero-input", "non-quadratic").mean
+    assert results.difference("static", "zero-input").mean == pytest.approx((found.mean + other) / 2)
+    less = {place: samples for place, samples in results.samples.items() if place != ("non-quadratic", "static")}
+    assert replace(results, samples=less).difference("static", "zero-input") == found
+    assert results.difference("static", "zero-input", (), "regret").mean is None
+    with pytest.raises(ValueError, match="unknown policy 'sttic'; did you mean 'static'"):
+        results.difference("sttic", "zero-input")
+    with pytest.raises(ValueError, match="unknown metric 'digit'; did you mean 'digits'"):
+        results.difference("static", "zero-input", metric="digit")
 
 
 def test_records_cover_every_track_policy_and_metric_once(results):
@@ -46,7 +79,7 @@ def test_records_cover_every_track_policy_and_metric_once(results):
     assert [metric for _, _, metric in keys[: len(METRICS)]] == list(METRICS)
     for record in results.records:
         assert list(record) == ["track", "policy", "metric", "mean", "low", "high", "episodes"]
-        if record["mean"] is not None:
+        if record["low"] is not None:
             rounding = 1e-12 * abs(record["mean"])
             assert record["low"] - rounding <= record["mean"] <= record["high"] + rounding
 

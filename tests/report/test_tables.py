@@ -9,11 +9,12 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from ptne_env import evaluate, get_scenario, laws, theory
+from ptne_env import PolicySpec, evaluate, get_scenario, laws, theory
 from ptne_env.evaluation import METRICS, get_policy_spec
 from ptne_env.evaluation.metrics import number
 from ptne_env.evaluation.statistics import Summary
 from ptne_env.execution.verification import Repetition, Verification
+from ptne_env.perception.observation import LayoutError
 from ptne_env.report.tables import (
     Cell,
     answer,
@@ -68,7 +69,7 @@ def test_the_answer_fits_the_terminal_and_keeps_the_papers_law(comparison, suite
 
 def test_the_answer_has_a_row_per_track_and_their_mean(comparison, suite, hostile):
     table = answer_table(comparison)
-    assert table.rows == ("energy", "energy-switching", "mean of 2", "mean regret")
+    assert table.rows == ("energy", "energy-switching", "mean of 2", "on the way", "worst tenth")
     columns = {column.label: column for column in table.columns}
     assert list(columns)[:2] == ["grounded", "static"]
     assert list(columns)[2:] == [hostile, "oracle *", "zero-input"]
@@ -76,27 +77,70 @@ def test_the_answer_has_a_row_per_track_and_their_mean(comparison, suite, hostil
         means = [comparison.record(track, name, "digits")["mean"] for track in table.rows[:2]]
         assert columns[name]["energy"].text == digits_of(comparison, "energy", name)
         assert columns[name]["mean of 2"].value == pytest.approx(np.mean(means))
-        regrets = [comparison.record(track, name, "mean_regret")["mean"] for track in table.rows[:2]]
-        assert columns[name]["mean regret"].value == pytest.approx(np.mean(regrets))
+        for row, metric in (("on the way", "digits_on_the_way"), ("worst tenth", "digits_cvar")):
+            values = [comparison.record(track, name, metric)["mean"] for track in table.rows[:2]]
+            assert columns[name][row].value == pytest.approx(np.mean(values))
     learned = next(column for column in answer_table(suite).columns if column.label == "ppo-random-energy")
-    assert learned["robots"] == Cell()
+    assert learned["robots"] == Cell("n/a")
     assert learned["score"].value == next(row.score.mean for row in leaderboard(suite) if row.policy == learned.label)
 
 
-def test_the_answer_names_the_closest_policy_and_the_distance_of_the_papers_law(comparison):
-    first, second = answer(comparison)
+def test_the_answer_names_the_closest_policy_and_its_lead_over_the_papers_law_and_ones_own(comparison, hostile):
+    first, *leads = answer(comparison)
     assert first == (
-        "grounded comes closest to the Nash equilibrium by the deadline, or with its interval within 0.1 digits of the "
-        "closest, on 2 of 2 scenarios."
+        "grounded comes closest to the Nash equilibrium by the deadline, or no other policy leads there, on 2 of 2 "
+        "scenarios."
     )
-    means = {
-        (track, name): comparison.record(track, name, "digits")["mean"]
-        for track in ("energy", "energy-switching")
-        for name in ("static", "grounded")
-    }
-    gaps = [means[track, "grounded"] - means[track, "static"] for track in ("energy", "energy-switching")]
-    assert second.startswith(
-        f"The paper's law (static) is {np.mean(gaps):.2f} digits behind the closest on average, {max(gaps):.2f} at most"
+    for name, shown in (("static", "the paper's law (static)"), (hostile, hostile)):
+        lead = comparison.difference("grounded", name)
+        digits = f"{lead.mean:.2f} digits [{lead.low:.2f}, {lead.high:.2f}] on average over 2 scenarios"
+        assert f"grounded leads {shown} by {digits}." in leads
+
+
+def test_the_answer_says_what_a_policy_of_the_user_did_that_cannot_play(hostile):
+    class Unfit:
+        def __init__(self, layout):
+            raise LayoutError("it needs six players")
+
+    worlds = ["energy", "energy-switching"]
+    results = evaluate(["static", "grounded", PolicySpec(hostile, Unfit)], worlds, episodes=2)
+    assert (
+        answer(results)[-1]
+        == f"{hostile} has no result on energy and energy-switching, for the reason below the table."
+    )
+    table = answer_table(results)
+    (column,) = [column for column in table.columns if column.label == hostile]
+    assert [column[world].text for world in worlds] == ["n/a", "n/a"]
+    assert f"n/a: {hostile} on energy and energy-switching: it needs six players" in table.notes
+    assert "n/a: it needs six players" in str(results)
+    failing = evaluate(["static", PolicySpec("mine", lambda layout: 1 / 0)], worlds, episodes=2)
+    assert answer(failing)[-1].startswith("mine has no result on energy and energy-switching")
+    assert any(note.startswith("failed: mine on energy and") for note in answer_table(failing).notes)
+
+
+def test_one_random_episode_has_no_interval_and_the_answer_says_so():
+    results = evaluate(["static", "grounded"], ["random-energy"], episodes=1)
+    assert answer(results)[1].endswith("of the paper's law (static) on random-energy; one episode has no interval.")
+    table = answer_table(results)
+    assert all(column["random-energy"].text.endswith(" ±n/a") for column in table.columns)
+    assert "±n/a: one random episode has no interval" in table.notes
+    cells = [column["static"] for column in track_tables(results, results.tracks[0])[0].columns]
+    assert {cell.interval for cell in cells if cell.value is not None} == {"n/a"}
+
+
+def test_policies_that_win_different_episodes_are_not_told_apart(comparison):
+    static = comparison.samples["energy", "static"]
+    twin = static | {"digits": static["digits"] + [[1.0, -1.0, 1.0, -1.0, 1.0, -0.9]]}
+    less = {"static": comparison.policies["static"], "twin": replace(comparison.policies["grounded"], name="twin")}
+    tracks = [track for track in comparison.tracks if track.name == "energy"]
+    made = replace(
+        comparison,
+        policies=less,
+        tracks=tuple(tracks),
+        samples={("energy", "static"): static, ("energy", "twin"): twin},
+    )
+    assert answer(made) == (
+        "twin and static cannot be told apart: they come closest to the Nash equilibrium by the deadline on energy.",
     )
 
 
@@ -112,7 +156,7 @@ def test_the_answer_of_few_policies(names, expected):
     assert list(answer(evaluate(names, ["energy"], episodes=2))) == expected
 
 
-def test_first_places_are_shared_within_a_tenth_of_a_digit():
+def test_first_places_are_shared_by_policies_that_do_not_lead_each_other():
     again = replace(get_policy_spec("grounded"), name="again")
     results = evaluate(["zero-input", again, "grounded", "oracle"], ["energy"], episodes=2)
     assert first_places(results) == {"zero-input": [], "again": ["energy"], "grounded": ["energy"]}
@@ -136,9 +180,10 @@ def test_tables_of_a_track_hold_the_metrics_that_have_values(comparison):
 def test_a_policy_that_cannot_act_is_named_with_the_reason(suite):
     plain, robots = (track_tables(suite, track)[0] for track in suite.tracks)
     assert "ppo-random-energy" in plain.rows
-    assert "ppo-random-energy" not in robots.rows
-    assert robots.notes[0].startswith("n/a: ppo-random-energy: ")
-    assert "was made for another layout" in robots.notes[0]
+    assert {column["ppo-random-energy"] for column in robots.columns} == {Cell("n/a")}
+    for table in (robots, answer_table(suite)):
+        (reason,) = [note for note in table.notes if note.startswith("n/a: ppo-random-energy on robots: ")]
+        assert "was made for another layout" in reason
 
 
 def test_the_leaderboard_has_the_scores_of_a_suite_alone(suite, comparison):

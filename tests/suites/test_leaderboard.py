@@ -11,7 +11,7 @@ from ptne_env.evaluation import Results, get_policy_spec
 from ptne_env.suites import leaderboard
 
 
-def board_of(digits, tracks=SMALL.tracks, regrets=None, **policies):
+def board_of(digits, tracks=SMALL.tracks, on_the_way=None, **policies):
     """The leaderboard of made-up digits by policy, a list of arrays (training seeds, episodes) per track, by policy."""
     specs = {name: get_policy_spec(name) for name in ("zero-input", "static", "oracle")} | policies
     samples = {}
@@ -21,7 +21,7 @@ def board_of(digits, tracks=SMALL.tracks, regrets=None, **policies):
                 array = np.array(reached, dtype=float)
                 samples[track.name, name] = {
                     "digits": array,
-                    "mean_regret": np.full_like(array, (regrets or {}).get(name, 1.0)),
+                    "digits_on_the_way": np.full_like(array, (on_the_way or {}).get(name, 0.0)),
                 }
     sets = {track.name: replace(SMALL.episode_set("ring"), track=("small", track.name)) for track in tracks}
     rows = leaderboard(Results("small", None, tuple(tracks), specs, sets, samples, {}, {}))
@@ -48,9 +48,9 @@ def test_the_score_is_the_mean_of_digits_over_the_scored_tracks():
 
 
 def test_a_track_without_numbers_counts_as_zero_input():
-    board = board_of(REFERENCES | {"half": [[[6.0, 6.0]], None]}, regrets={"half": 0.5}, half=entry("half"))
+    board = board_of(REFERENCES | {"half": [[[6.0, 6.0]], None]}, on_the_way={"half": 5.0}, half=entry("half"))
     assert board["half"].score.mean == 3
-    assert board["half"].mean_regret.mean == 0.75
+    assert board["half"].on_the_way.mean == 2.5
     assert board["half"].mean_rank == (1 + 2) / 2  # beside zero input on the second track
 
 
@@ -72,11 +72,31 @@ def test_entries_are_ranked_without_oracles_and_ties_share_a_rank():
     assert [row.mean_rank for row in board.values()] == [1, 1, 3, 4, None]
 
 
-def test_of_equal_digits_to_two_decimals_the_smaller_regret_is_better():
-    digits = REFERENCES | {"slow": [[[5.0, 5.0]]] * 2, "fast": [[[4.998, 5.0]]] * 2}
-    board = board_of(digits, slow=entry("slow"), fast=entry("fast"), regrets={"fast": 0.03, "slow": 0.04})
-    assert list(board)[:2] == ["fast", "slow"]
-    assert [board[name].mean_rank for name in ("fast", "slow")] == [1, 2]
+@pytest.mark.parametrize(
+    ("digits", "first"),
+    [
+        pytest.param(4.998, "fast", id="equal to two decimals"),
+        pytest.param(4.98, "slow", id="equal to one decimal"),
+    ],
+)
+def test_of_equal_digits_to_two_decimals_the_larger_digits_on_the_way_are_better(digits, first):
+    made = REFERENCES | {"slow": [[[5.0, 5.0]]] * 2, "fast": [[[digits, digits]]] * 2}
+    board = board_of(made, slow=entry("slow"), fast=entry("fast"), on_the_way={"fast": 3.0, "slow": 1.0})
+    second = ({"fast", "slow"} - {first}).pop()
+    assert list(board)[:2] == [first, second]
+    assert [board[name].mean_rank for name in (first, second)] == [1, 2]
+
+
+def test_the_worst_tenth_is_the_mean_over_tracks():
+    spread = [[*range(10), *range(10)]]
+    board = board_of(REFERENCES | {"mine": [spread, spread]}, mine=entry("mine"))
+    assert (board["mine"].score.mean, board["mine"].worst_tenth.mean) == (4.5, 0)
+    assert board["mine"].worst_tenth.low is not None
+
+
+def test_a_policy_that_acts_nowhere_counts_as_zero_input():
+    board = board_of(REFERENCES | {"unfit": [None, None]}, unfit=entry("unfit"))
+    assert (board["unfit"].score, board["unfit"].mean_rank) == (board["zero-input"].score, 2)
 
 
 def test_a_comparison_has_no_leaderboard():
