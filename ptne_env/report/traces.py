@@ -93,7 +93,7 @@ def make_scene(
     links = np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2)
     randomness = start.randomness
     modes = world.modes if randomness is None or randomness.modes is None else randomness.modes[:, 0]
-    live = np.array([world.topology.graphs[mode].adjacency[links[:, 0], links[:, 1]] > 0 for mode in modes])
+    live = np.array([world.topology.graphs[int(mode)].adjacency[links[:, 0], links[:, 1]] > 0 for mode in modes])
     return Scene(
         t=clock.t,
         s=clock.s,

@@ -140,7 +140,7 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
     time, derivative, step = transformation.time(grid), transformation.derivative(grid), grid[1]
     simpson = (derivative[:-1] + 4 * transformation.derivative(grid[:-1] + step / 2) + derivative[1:]) / 6
     mismatch = float(np.max(np.abs(np.diff(time) / step - simpson)))
-    far = 10.0 ** np.arange(1, 7)
+    far = np.logspace(1, 6, 6, dtype=np.float64)
     with np.errstate(all="ignore"):  # formulas may overflow far out
         remaining, slopes = 1 - transformation.time(far) / deadline, transformation.derivative(far) / deadline
         valid = np.isfinite(remaining) & np.isfinite(slopes)
