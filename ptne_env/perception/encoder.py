@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import groupby
 from operator import attrgetter
 from typing import Any, NamedTuple, cast
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from ptne_env.perception.fields import FIELDS, SMALLEST_SCALE, InterfaceKind
 from ptne_env.perception.observation import INPUT_PER_ACTION, Interface, ObservationLayout
-from ptne_env.shared.arrays import Float32Array, FloatArray, IntArray, array_namespace, is_numpy
+from ptne_env.shared.arrays import Float32Array, FloatArray, IntArray, array_namespace
 from ptne_env.world import dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import World
@@ -20,9 +21,10 @@ _PADDING = 16
 """Unused columns at the end of each row of a workspace, in batches of more environments than this."""
 
 _NO_SCALE = np.ones((1, 1))
+_NO_STATE: Any = None
 
 _DIFFERENCES = "own_gradient", "relative_estimates"
-"""Fields that are written in one pass where they are neighbours."""
+"""Fields that are written in one pass under ``scaled``, where they are neighbours."""
 
 _WORKSPACES = 2
 """Observation workspaces of an encoder, one per batch size: a vector environment has blocks of two sizes."""
@@ -32,28 +34,31 @@ class NonFiniteActionError(ValueError):
     """An action holds NaN or infinity."""
 
 
-class View(NamedTuple):
-    """B environments at one instant, with numpy or JAX: what the fields of an observation are computed from.
+@dataclass(slots=True)
+class View:
+    """B environments at one instant: what the fields of an observation are computed from.
 
     Attributes:
+        xp: the library of all arrays, numpy or ``jax.numpy``.
         world: the world.
         layout: of the observation.
         state: the state.
         weights: a_ij in each slot of the layout, shape (D, N, B), or (D, N, 1) where all environments agree.
+        own_gradients: ∂J_i/∂x_i(x^i) in the unit of the interface, padded with 0, shape (m, N, B).
+        relative_estimates: x^j − x^i per slot, in the unit and order of the interface, shape (D n, N, B).
         scale: σ_i, shape (N, B); 1 in natural units, shape (1, 1).
-        differences: own gradients, then relative estimates, in the units and order of the interface, (m + D n, N, B).
-        own_gradients: ∂J_i/∂x_i(x^i), padded with 0, shape (m, N, B).
-        relative_estimates: x^j − x^i per slot, shape (D n, N, B).
+        differences: under ``scaled``, own gradients, then relative estimates, in one array.
     """
 
+    xp: Any
     world: World
     layout: ObservationLayout
     state: State
     weights: FloatArray
-    scale: FloatArray
-    differences: FloatArray
     own_gradients: FloatArray
     relative_estimates: FloatArray
+    scale: FloatArray
+    differences: FloatArray
 
     @property
     def times(self) -> Float32Array:
@@ -73,13 +78,15 @@ class _Workspace(NamedTuple):
         everything: the observations, (B, N size).
         tables: where tables of parts go, and the tables.
         values: where other parts go, and the functions of a view that compute them.
-        differences: the last three arrays of a view.
+        view: that each observation fills anew.
+        by_slot: its relative estimates, (D, n, N, B).
     """
 
     everything: Float32Array
     tables: list[tuple[Float32Array, Any]]
     values: list[tuple[Float32Array, Any]]
-    differences: tuple[FloatArray, ...]
+    view: View
+    by_slot: FloatArray
 
 
 class Encoder:
@@ -115,6 +122,7 @@ class Encoder:
         own = layout.own_components.T
         self._gradient_rows = np.minimum(own, game.dimension - 1)
         self._gradient_mask = (own < game.dimension)[:, :, None] if (own == game.dimension).any() else None
+        self._has_single_components = max(game.action_dims) == 1
         self._order = world.order_components(layout.ego_order) if layout.is_scaled else None
         # Rows of an (n N, B) array in ego order, in the order of the players' components.
         self._player_rows = layout.ego_place.T * layout.num_players + np.arange(layout.num_players)
@@ -140,47 +148,47 @@ class Encoder:
             state: the observed state.
             out: where to write, of that shape and C-contiguous; a new array if left out.
         """
-        batch = dynamics.batch_size(state)
+        batch = state.estimates.shape[2]
         workspace = self._workspaces.get(batch) or self._prepare(batch)
-        view = self.look(self.world, state, workspace.differences)
-        self._scale_of = state, view.scale
+        view, world, links = workspace.view, self.world, None
+        view.state = state
+        if not world.has_constant_weights:
+            links = dynamics.weights(world, state)
+            view.weights = self._in_slots(links)
+        relative = dynamics.relative_estimates(world, state, links, order=self._order, out=workspace.by_slot)
+        if self._order is None:
+            view.own_gradients = self._own_gradients(state)
+        else:
+            differences, by_slot = view.differences, relative.swapaxes(1, 2)
+            by_slot[...] = self._in_slots(by_slot)
+            view.own_gradients[...] = self._own_gradients(state)
+            scale = np.maximum.reduce(np.abs(differences), axis=0)
+            view.scale = np.maximum(scale, SMALLEST_SCALE, out=scale)
+            self._scale_of = state, scale
+            differences *= 1 / scale  # in float64, and cast in a second pass: faster than numpy's casting output
         for place, table in workspace.tables:
             place[...] = table.take(dynamics.shared_step(state), axis=2)
         for place, value in workspace.values:
             place[...] = value(view)
+        view.state = _NO_STATE  # which may be freed
         if out is None:
             out = np.empty((batch, self.layout.num_players, self.layout.size), dtype=np.float32)
         np.copyto(out.reshape(batch, -1), workspace.everything)
         return out
 
-    def look(self, world: World, state: State, out: tuple[FloatArray, ...] = ()) -> View:
-        """The view of a state.
-
-        Args:
-            world: of the encoder, or its twin on JAX.
-            state: in that world.
-            out: where numpy writes the last three arrays of the view, which are parts of one; new ones if left out.
-        """
-        links: Any = None if world.has_constant_weights else dynamics.weights(world, state)
-        by_slot: Any = out[2].reshape(-1, *state.estimates.shape) if out else None
-        relative = dynamics.relative_estimates(world, state, links, order=self._order, out=by_slot)
-        if self._slot_order is not None:
-            relative = self._in_slots(relative.swapaxes(1, 2)).swapaxes(1, 2)
-        gradients, scale = self._own_gradients(state), _NO_SCALE
-        if out:
-            whole = out[0]
-            out[1][...] = gradients
-            if relative is not by_slot:
-                by_slot[...] = relative
-        else:
-            xp = array_namespace(relative)
-            whole = xp.concatenate([gradients, relative.reshape(-1, *gradients.shape[1:])])
-        if self._order is not None:
-            scale = _scale(whole)
-            whole *= 1 / scale
-        parts = out[1:] or (whole[: len(gradients)], whole[len(gradients) :])
+    def look(self, world: World, state: State) -> View:
+        """Return the view of a state in the encoder's world, or in its twin on JAX."""
+        xp = array_namespace(state.estimates)
+        links = None if world.has_constant_weights else dynamics.weights(world, state)
         weights = self._constant_weights if links is None else self._in_slots(links)
-        return View(world, self.layout, state, weights, scale, whole, *parts)
+        gradients = self._own_gradients(state)
+        relative = dynamics.relative_estimates(world, state, links, order=self._order)
+        relative = self._in_slots(relative.swapaxes(1, 2)).swapaxes(1, 2).reshape(-1, *gradients.shape[1:])
+        differences, scale, own = xp.concatenate([gradients, relative]), _NO_SCALE, len(gradients)
+        if self._order is not None:
+            scale = xp.maximum(xp.abs(differences).max(0), SMALLEST_SCALE)
+            differences = differences * (1 / scale)
+        return View(xp, world, self.layout, state, weights, differences[:own], differences[own:], scale, differences)
 
     def clip(self, actions: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.floating], IntArray]:
         """Clip actions of any number of environments, shape (B, N, action size), to the action box.
@@ -232,7 +240,7 @@ class Encoder:
 
     def _own_gradients(self, state: State) -> FloatArray:
         """Own gradients per player, padded with 0, shape (m, N, B)."""
-        if self._gradient_mask is None and len(self._gradient_rows) == 1:
+        if self._has_single_components:
             return state.own_gradients[None]
         gradients = state.own_gradients.take(self._gradient_rows, axis=0)
         return gradients if self._gradient_mask is None else gradients * self._gradient_mask
@@ -241,11 +249,12 @@ class Encoder:
         """See :attr:`parts`."""
         slices, absent = self.layout.slices, cast("Any", None)
         state = State(np.arange(self.world.clock.total_steps + 1), self.world.game, *[absent] * 3)
-        view = View(self.world, self.layout, state, self._constant_weights, *[absent] * 4)
+        view = View(np, self.world, self.layout, state, self._constant_weights, *[absent] * 4)
         tables = {name: FIELDS[name].value(view) for name in slices if not FIELDS[name].follows_state(self.world)}
 
         def group(name: str) -> Any:
-            return tables[name].shape[1:] if name in tables else name in _DIFFERENCES or name
+            is_difference = self.layout.is_scaled and name in _DIFFERENCES
+            return tables[name].shape[1:] if name in tables else is_difference or name
 
         def part(*names: str) -> tuple[slice, Any]:
             where = slice(slices[names[0]].start, slices[names[-1]].stop)
@@ -263,9 +272,12 @@ class Encoder:
         row = batch + _PADDING if batch > _PADDING else batch
         buffer = np.zeros((players, size, row), dtype=np.float32)
         columns = buffer.transpose(1, 0, 2)[:, :, :batch]
-        own = len(self._gradient_rows)
-        whole = np.empty((own + self.layout.slots * self.layout.dimension, players, batch))
-        workspace = _Workspace(buffer.reshape(-1, row)[:, :batch].T, [], [], (whole, whole[:own], whole[own:]))
+        own, n = len(self._gradient_rows), self.layout.dimension
+        whole = np.empty((own + self.layout.slots * n, players, batch))
+        arrays = self._constant_weights, whole[:own], whole[own:], _NO_SCALE, whole
+        view = View(np, self.world, self.layout, _NO_STATE, *arrays)
+        by_slot = whole[own:].reshape(-1, n, players, batch)
+        workspace = _Workspace(buffer.reshape(-1, row)[:, :batch].T, [], [], view, by_slot)
         for where, content in self.parts:
             if callable(content):
                 workspace.values.append((columns[where], content))
@@ -290,12 +302,3 @@ def _ego_slots(world: World) -> IntArray:
     players = world.game.num_players
     distance = (world.neighbours - np.arange(players)) % players
     return np.argsort(np.where(distance == 0, players, distance), axis=0, kind="stable")
-
-
-def _scale(differences: FloatArray) -> FloatArray:
-    """σ_i = max(‖own gradient‖_∞, max over live links ‖x^j − x^i‖_∞, 1e-30), shape (N, B)."""
-    if is_numpy(differences):
-        scale = np.maximum.reduce(np.abs(differences), axis=0)
-        return np.maximum(scale, SMALLEST_SCALE, out=scale)
-    xp = array_namespace(differences)
-    return xp.maximum(xp.abs(differences).max(0), SMALLEST_SCALE)

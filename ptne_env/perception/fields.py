@@ -12,9 +12,6 @@ from operator import attrgetter
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
-import numpy.typing as npt
-
-from ptne_env.shared.arrays import array_namespace
 
 InterfaceKind: TypeAlias = Literal["scaled", "physical", "full"]
 
@@ -36,10 +33,6 @@ def _natural(_: Any) -> tuple[float, float]:
 
 def _differences(layout: Any) -> tuple[float, float]:
     return (-1.0, 1.0) if layout.is_scaled else _natural(layout)
-
-
-def _log_scale(number: Any) -> Any:
-    return array_namespace(number).log10(number) / LOG_SCALE_UNIT
 
 
 @dataclass(frozen=True)
@@ -64,7 +57,7 @@ class Field:
     size: str
     value: Callable[[Any], Any]
     content: str
-    bounds: Callable[[Any], tuple[npt.ArrayLike, npt.ArrayLike]] = _natural
+    bounds: Callable[[Any], Any] = _natural
     kinds: tuple[InterfaceKind, ...] = ()
     is_privileged: bool = False
     follows_state: Callable[[Any], bool] = lambda _: True
@@ -83,8 +76,9 @@ _ENTRIES = (
           "$a_{ij}$ per neighbour slot; 0 where the link is down, or the message is lost",
           lambda layout: (0.0, layout.largest_weight), _ALL,
           follows_state=lambda world: not world.has_constant_weights),
-    Field("log_scale", "1", lambda view: _log_scale(view.scale)[None], r"a tenth of $\log_{10} \sigma_i$",
-          lambda _: (_log_scale(np.float64(SMALLEST_SCALE)), _log_scale(np.float64(OBSERVATION_BOUND))), ("scaled",)),
+    Field("log_scale", "1", lambda view: view.xp.log10(view.scale)[None] / LOG_SCALE_UNIT,
+          r"a tenth of $\log_{10} \sigma_i$",
+          lambda _: np.log10([SMALLEST_SCALE, OBSERVATION_BOUND]) / LOG_SCALE_UNIT, ("scaled",)),
     Field("clock", "4", lambda view: view.times / view.layout.time_units.astype(np.float32)[:, None, None],
           r"$t/T$, $s$ (over the largest $s$ under `scaled`), $\Theta_k$, $\Delta t_k/T$",
           lambda layout: (0.0, np.array(layout.largest_clock) / layout.time_units), _ALL,

@@ -284,15 +284,18 @@ class ObservationLayout:
         def optional(name: str) -> Any:
             return part(name) if name in self.slices else xp.empty((*rows, 0))
 
-        is_player, clock = part("player"), part("clock")
+        is_player, clock = self.select(observation, "player"), part("clock")
+        player = is_player.argmax(-1)
+        of_player = player if is_numpy(observation) else is_player.astype(np.float64)  # as differences are: faster
         relative, unit = part("relative_estimates").reshape(*rows, self.slots, self.dimension), xp.ones((*rows, 1))
         if self.is_scaled:
-            places = row_of(self.ego_place, is_player).astype(np.int64)
+            places = row_of(self.ego_place, of_player).astype(np.int64)
             relative = xp.take_along_axis(relative, places[..., None, :], axis=-1)
             unit = 10.0 ** (LOG_SCALE_UNIT * part("log_scale"))
+        own = xp.where(row_of(self.own_places, of_player), part("own_gradient")[..., None], 0.0)
         return Observation(
-            player=is_player.argmax(-1),
-            gradient=xp.where(row_of(self.own_places, is_player), part("own_gradient")[..., None], 0.0).sum(-2),
+            player=player,
+            gradient=own.sum(-2),
             relative_estimates=relative,
             weights=part("weights"),
             unit=unit,
@@ -315,9 +318,12 @@ class ObservationLayout:
         return np.clip(inputs, -self.action_bound, self.action_bound).astype(np.float32)
 
 
-def row_of(table: Any, is_player: Any) -> Any:
-    """The rows of a table (N, ...) of players who are one-hot, (..., N). JAX multiplies: faster than a look-up."""
-    if is_numpy(is_player):
-        return table[is_player.argmax(-1)]
-    product = array_namespace(is_player).tensordot(is_player, table.astype(is_player.dtype), axes=1)
+def row_of(table: Any, players: Any) -> Any:
+    """Return the rows of a table (N, ...) of players: their indices (...), or one-hot rows (..., N) on JAX.
+
+    JAX multiplies, which is faster than a look-up.
+    """
+    if is_numpy(players):
+        return table.take(players, axis=0)  # faster than an index
+    product = array_namespace(players).tensordot(players, table.astype(players.dtype), axes=1)
     return product.astype(table.dtype)
