@@ -90,6 +90,11 @@ def fitting(draw):
         return None
 
 
+def names_of(kind):
+    """The names of the library's parts of a kind that sessions play."""
+    return [name.partition(":")[2] for name in PARTS if name.startswith(f"{kind}:") and name not in UNPLAYABLE]
+
+
 def log_uniform(rng, low, high):
     return math.exp(rng.uniform(math.log(low), math.log(high)))
 
@@ -138,22 +143,16 @@ def whole_family(rng, players):
 
 GAMES = {
     "coupled": lambda rng, players: {"game": whole_family(rng, players), "lines": rng.randint(1, 2)},
-    "cournot": None,
     "energy": energy_arguments,
-    "ev-charging": None,
     "non-quadratic": lambda rng, _: {"variant": rng.choice(("printed", "corrected"))},
-    "oligopoly": None,
     "priced": priced_arguments,
     "quadratic": affine_arguments,
     "random-affine": random_affine_arguments,
     "random-energy": lambda _, players: {"players": players},
     "random-saturating": lambda rng, players: {"affine": whole_family(rng, players), "bend": rng.uniform(0, 3)},
-    "rate-control": None,
-    "robots": None,
     "saturating": saturating_arguments,
-    "weakly-monotone": None,
 }
-"""By name, random arguments of games of about some number of players; ``None`` for those that have no arguments."""
+"""By name, random arguments of games of some number of players, for those that have arguments."""
 
 
 def some_edges(rng, players):
@@ -239,13 +238,10 @@ STAGES = {
 }
 """By name, random arguments of the stages of a chain of channels."""
 
-CHANNELS = {
-    "chain": lambda rng: {
-        "stages": [a_part(rng, "channel", rng.choice(sorted(STAGES))) for _ in range(rng.randint(1, 3))]
-    },
-    "perfect": None,
-    **STAGES,
-}
+
+def chain_arguments(rng):
+    names = [name for name in names_of("channel") if name not in ("chain", "perfect")]
+    return {"stages": [a_part(rng, "channel", rng.choice(names)) for _ in range(rng.randint(1, 3))]}
 
 
 def reach_of(rng):
@@ -256,31 +252,25 @@ STARTS = {
     "fixed": lambda rng, game: {
         "estimates": numbers(rng, *sorted((0, reach_of(rng))), game.num_players, game.dimension)
     },
-    "paper": None,
     "uniform": lambda rng, _: {"low": -(reach := reach_of(rng)), "high": rng.uniform(0, 1) * reach},
 }
 """By name, random arguments of starts of a game."""
 
 DISTURBANCES = {"uniform": lambda rng: {"bound": log_uniform(rng, 1e-3, 100), "dwell": rng.randint(1, 5)}}
-TRANSFORMATIONS = {"exponential": None, "rational": None, "tanh": None}
-
 KINDS = {
     "game": GAMES,
     "topology": TOPOLOGIES,
     "start": STARTS,
-    "channel": CHANNELS,
+    "channel": {"chain": chain_arguments, **STAGES},
     "disturbance": DISTURBANCES,
-    "transformation": TRANSFORMATIONS,
+    "transformation": {},
 }
-"""Random arguments of every part of a scenario that the library has, by kind and name."""
-
-
-LAWS = [name for name in PARTS if name.startswith("law:") and name not in UNPLAYABLE]
+"""Random arguments of the parts of a scenario, by kind and name. A part that is not here is made without arguments."""
 
 
 def a_part(rng, kind, name, *context):
     """A part with random arguments."""
-    arguments = KINDS[kind][name]
+    arguments = KINDS[kind].get(name)
     return part(f"{kind}:{name}", **(arguments(rng, *context) if arguments else {}))
 
 
@@ -288,7 +278,7 @@ def a_scenario(rng, **names):
     """A scenario of random parts, of some kinds those of ``names``; ``ValueError`` if they do not fit together."""
 
     def name_of(kind, *weights):
-        return names.get(kind) or rng.choice((*KINDS[kind], *weights))
+        return names.get(kind) or rng.choice((*names_of(kind), *weights))
 
     game = a_part(rng, "game", name_of("game", "energy", "energy"), rng.randint(2, 6))
     made = game.build()
@@ -327,11 +317,11 @@ def some_arguments(rng):
     }
 
 
-def a_world(rng):
+def a_world(rng, **names):
     """A scenario and arguments with which an environment can be made; ``None`` if they do not fit together."""
 
     def draw():
-        scenario, arguments = a_scenario(rng), some_arguments(rng)
+        scenario, arguments = a_scenario(rng, **names), some_arguments(rng)
         parallel_env(scenario, **arguments)
         return scenario, arguments
 
@@ -361,11 +351,11 @@ def refuses(call, tally):
         raise AssertionError("a wrong call was accepted")
 
 
-def actor(rng, layout, tally):
+def actor(rng, layout, tally, law=None):
     """A function from observations (B, N, size) to actions: those of a law, or random ones of some width."""
     generator, bound = np.random.default_rng(rng.getrandbits(32)), layout.action_bound
-    if rng.random() < 0.7:
-        law = rng.choice(LAWS)
+    if law or rng.random() < 0.7:
+        law = f"law:{law or rng.choice(names_of('law'))}"
         with contextlib.suppress(LayoutError):  # some laws need another interface, or a fixed graph
             policy, memory = FactorySpec.of(law).build(layout=layout), [None]
             tally.parts[law] += 1
@@ -465,7 +455,7 @@ def refused_start(call, abused_call, tally):
         return None
 
 
-def vector_session(rng, scenario, arguments, tally, episodes):
+def vector_session(rng, scenario, arguments, tally, episodes, law=None):
     """Episodes of a batch; some start again while others continue."""
     count, seed = rng.randint(1, 96), rng.randrange(2**31)
     env = vector_env(rng, scenario, count, arguments, 2048)
@@ -478,7 +468,7 @@ def vector_session(rng, scenario, arguments, tally, episodes):
     observations, _ = started
     spoil(abused.reset(seed)[0])
     over, wanted, length = np.zeros(count, dtype=bool), tally.episodes + episodes, np.zeros(count, dtype=int)
-    decide, kept = actor(rng, env.layout, tally), []
+    decide, kept = actor(rng, env.layout, tally, law), []
     while tally.episodes < wanted:
         within(env.single_observation_space, observations)
         if over.all() or (over.any() and rng.random() < 0.5):  # a reset between steps, else within the step
@@ -489,7 +479,7 @@ def vector_session(rng, scenario, arguments, tally, episodes):
             observations, _ = started
             same((observations,), abused.reset(mask=over)[:1], "first observations")
             length[over], over = 0, np.zeros(count, dtype=bool)
-            decide = actor(rng, env.layout, tally)
+            decide = actor(rng, env.layout, tally, law)
             continue
         actions, restart = decide(observations), over
         outcome = env.step(actions, restart.copy() if restart.any() else None)
@@ -525,26 +515,26 @@ def check_outcome(env, outcome, actions, length):
     assert not (infos["is_success"] & infos["diverged"]).any(), "success is reported without any"
 
 
-def session(rng, episodes):
-    """The tally of one random world and all its use.
+def session(rng, episodes, **names):
+    """The tally of one random world and all its use; of some kinds the parts are those of ``names``.
 
     Raises:
         AssertionError: when an assertion does not hold; any other exception is a fault of the library, too.
     """
     tally = Tally(worlds=1)
     with no_warnings():
-        world = a_world(rng)
+        world = a_world(rng, **names)
         if world is None:
             tally.refused_worlds += 1
             return tally
         scenario, arguments = world
         assert Scenario.from_dict(scenario.to_dict()) == scenario
-        vector_session(rng, scenario, arguments, tally, episodes)
+        vector_session(rng, scenario, arguments, tally, episodes, names.get("law"))
         if tally.episodes:
             tally.parts.update({name for name in re.findall(r"\w+:[\w-]+", str(scenario.to_dict())) if name in PARTS})
     return tally
 
 
-def play(seed, episodes):
+def play(seed, episodes, **names):
     """:func:`session` from a seed."""
-    return session(random.Random(seed), episodes)  # noqa: S311 - worlds, not secrets
+    return session(random.Random(seed), episodes, **names)  # noqa: S311 - worlds, not secrets
