@@ -20,7 +20,9 @@ from ptne_env.execution import Runner, Workers
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites import leaderboard, run_suite
 
-METRICS = ("digits", "mean_regret", "digits_cvar", "settling_time", "settled_share", "diverged_share")
+METRICS = (
+    "digits", "digits_on_the_way", "digits_cvar", "mean_regret", "settling_time", "settled_share", "diverged_share",
+)  # fmt: skip
 """The metrics in the file."""
 
 INTERVAL = ("mean", "low", "high")
@@ -30,12 +32,18 @@ def rows_of(results: Results) -> Iterable[Row]:
     """The rows of ``results.csv``: the metrics above, and scores and ranks of a suite."""
     for record in results.records:
         if record["metric"] in METRICS and record["mean"] is not None:
-            interval = {key: f"{record[key]:.7g}" for key in INTERVAL}
+            interval = {key: "" if record[key] is None else f"{record[key]:.7g}" for key in INTERVAL}
             yield {"suite": results.name, **{key: str(value) for key, value in record.items()}, **interval}
     for row in leaderboard(results) or ():
         common = {"suite": results.name, "track": ALL, "policy": row.policy}
-        for metric, statistic in (("score", row.score), ("mean_regret", row.mean_regret)):
-            yield {**common, "metric": metric, **{key: f"{getattr(statistic, key):.7g}" for key in INTERVAL}}
+        means = {"score": row.score, "digits_on_the_way": row.on_the_way, "digits_cvar": row.worst_tenth}
+        for metric, summary in means.items():
+            interval = {key: getattr(summary, key) for key in INTERVAL}
+            yield {
+                **common,
+                "metric": metric,
+                **{key: f"{end:.7g}" for key, end in interval.items() if end is not None},
+            }
         if row.mean_rank is not None:
             yield {**common, "metric": "rank", "mean": f"{row.mean_rank:.7g}"}
 
