@@ -7,8 +7,7 @@ difference between paired episodes.
 
 import sys
 from pathlib import Path
-
-import numpy as np
+from statistics import fmean
 
 from baselines.published import markdown
 from ptne_env import FactorySpec, PolicySpec
@@ -31,16 +30,15 @@ def rows(suite: Suite, episodes: int) -> list[list[str]]:
     """A row of the table per rule, of a suite."""
     tracks = [track for track in suite.tracks if track.scored]
     specs = [spec(None), *map(spec, RULES)]
-    samples = evaluate(specs, tracks, episodes=episodes, split="validation").samples
-    names = list(dict.fromkeys(track for track, _ in samples))
-    whole = {name: samples[name, "all"]["digits"].ravel() for name in names}
-    table = [[suite.name, "all", f"{np.mean([digits.mean() for digits in whole.values()]):.2f}", ""]]
-    for rule in RULES:
-        change = {name: samples[name, f"no {rule}"]["digits"].ravel() - whole[name] for name in names}
-        variance = sum(each.var(ddof=1) / each.size for each in change.values())
-        mean, half = np.mean([each.mean() for each in change.values()]), 1.96 * np.sqrt(variance) / len(names)
-        most = min(change, key=lambda name: change[name].mean())
-        table.append([suite.name, f"without {rule}", f"{mean:+.2f} ± {half:.2f}", f"{most} {change[most].mean():+.2f}"])
+    results = evaluate(specs, tracks, episodes=episodes, split="validation")
+    names = [track.name for track in tracks]
+    digits = fmean(results.samples[name, "all"]["digits"].mean() for name in names)
+    table = [[suite.name, "all", f"{digits:.2f}", ""]]
+    for policy in list(results.policies)[1:]:
+        change = "{mean:+.2f} [{low:+.2f}, {high:+.2f}]".format(**vars(results.difference(policy, "all")))
+        changes = {name: results.difference(policy, "all", name).mean for name in names}
+        most = min(names, key=lambda name: changes[name])
+        table.append([suite.name, policy.replace("no ", "without "), change, f"{most} {changes[most]:+.2f}"])
     return table
 
 

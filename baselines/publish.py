@@ -10,46 +10,87 @@ It writes ``results.csv`` beside this file, and from it every table of README, d
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from statistics import fmean
 
-from baselines.published import ALL, RESULTS, ROOT, WORLDS, Row, documents, fill_tables, read
+from baselines.published import (
+    ALL,
+    MINUS_BEST_LAW,
+    MINUS_PAPER,
+    RESULTS,
+    ROOT,
+    WORLDS,
+    Row,
+    documents,
+    fill_tables,
+    read,
+)
 from ptne_env import CATALOGUE, evaluate
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, Results
+from ptne_env.evaluation.results import SHOWN, Record
+from ptne_env.evaluation.statistics import Summary
 from ptne_env.execution import Runner, Workers
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites import leaderboard, run_suite
+from ptne_env.suites.suite import LAW
 
-METRICS = (
-    "digits", "digits_on_the_way", "digits_cvar", "mean_regret", "settling_time", "settled_share", "diverged_share",
-)  # fmt: skip
+METRICS = (*SHOWN, "settling_time", "settled_share", "diverged_share")
 """The metrics in the file."""
 
 INTERVAL = ("mean", "low", "high")
+COLUMNS = ("suite", "track", "policy", "metric", *INTERVAL, "episodes")
+
+
+def interval_of(summary: Summary | Record) -> Row:
+    """The columns of a mean; empty ends where it has no interval."""
+    numbers = summary if isinstance(summary, dict) else vars(summary)
+    return {key: "" if numbers[key] is None else f"{numbers[key]:.7g}" for key in INTERVAL}
+
+
+def differences_of(results: Results, label: str, tracks: Sequence[str]) -> Iterable[Row]:
+    """The rows of paired differences: of each policy that plays these tracks from the best other law and the paper's.
+
+    Args:
+        results: the results.
+        label: the name of the track, or :data:`ALL`.
+        tracks: the tracks over which the differences are taken.
+    """
+    digits = {
+        name: fmean(results.samples[track, name]["digits"].mean() for track in tracks)
+        for name in results.policies
+        if all((track, name) in results.samples for track in tracks)
+    }
+    laws = sorted((name for name in digits if results.policies[name].is_law), key=lambda name: -digits[name])
+    for policy in digits:
+        best = next((name for name in laws if name != policy), policy)
+        for metric, other in ((MINUS_BEST_LAW, best), (MINUS_PAPER, LAW)):
+            if other != policy and other in digits:
+                row = {"suite": results.name, "track": label, "policy": policy, "metric": metric}
+                yield row | interval_of(results.difference(policy, other, tracks))
 
 
 def rows_of(results: Results) -> Iterable[Row]:
-    """The rows of ``results.csv``: the metrics above, and scores and ranks of a suite."""
+    """The rows of ``results.csv``: the metrics above, paired differences, and the leaderboard of a suite."""
     for record in results.records:
         if record["metric"] in METRICS and record["mean"] is not None:
-            interval = {key: "" if record[key] is None else f"{record[key]:.7g}" for key in INTERVAL}
-            yield {"suite": results.name, **{key: str(value) for key, value in record.items()}, **interval}
-    for row in leaderboard(results) or ():
+            texts = {key: str(value) for key, value in record.items()}
+            yield {"suite": results.name, **texts, **interval_of(record)}
+    for track in results.tracks:
+        yield from differences_of(results, track.name, [track.name])
+    board = leaderboard(results)
+    for row in board or ():
         common = {"suite": results.name, "track": ALL, "policy": row.policy}
-        means = {"score": row.score, "digits_on_the_way": row.on_the_way, "digits_cvar": row.worst_tenth}
-        for metric, summary in means.items():
-            interval = {key: getattr(summary, key) for key in INTERVAL}
-            yield {
-                **common,
-                "metric": metric,
-                **{key: f"{end:.7g}" for key, end in interval.items() if end is not None},
-            }
+        for metric, statistic in zip(SHOWN, (row.score, row.on_the_way, row.worst_tenth), strict=True):
+            yield {**common, "metric": metric, **interval_of(statistic)}
         if row.mean_rank is not None:
             yield {**common, "metric": "rank", "mean": f"{row.mean_rank:.7g}"}
+    if board is not None:
+        yield from differences_of(results, ALL, results.counted_tracks)
 
 
-def run(out: Path, episodes: int | None, workers: Workers) -> None:
-    """Run everything that is not stored, and write ``results.csv``."""
+def run(out: Path, episodes: int | None, workers: Workers) -> Path:
+    """Run everything that is not stored, and write ``results.csv``, with another number of episodes into ``out``."""
 
     def show(job: str, done: int, total: int) -> None:
         print(f"{done / total:7.1%}  {job}", flush=True)
@@ -60,25 +101,27 @@ def run(out: Path, episodes: int | None, workers: Workers) -> None:
     suite = run_suite("ptne-v1", entered, episodes=episodes, run=runner)
     worlds = [run_suite(world, entered, episodes=episodes, run=runner) for world in WORLDS.values()]
     rows = [row for results in (compared, suite, *worlds) for row in rows_of(results)]
-    columns = ["suite", "track", "policy", "metric", *INTERVAL, "episodes"]
-    lines = [columns, *([row.get(key, "") for key in columns] for row in rows)]
-    write_atomically(RESULTS, "".join(f"{','.join(line)}\n" for line in lines))
+    lines = [COLUMNS, *([row.get(key, "") for key in COLUMNS] for row in rows)]
+    path = RESULTS if episodes is None else out / RESULTS.name
+    write_atomically(path, "".join(f"{','.join(line)}\n" for line in lines))
     write_atomically(out / "results.json", suite.to_json())
+    return path
 
 
 def main() -> None:
     """Run, and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "results" / "published")
-    parser.add_argument("--episodes", type=int, help="the suite's own number, and 100 of a scenario, if left out")
+    parser.add_argument("--episodes", type=int, help="a trial, which writes no document")
     parser.add_argument("--jobs", type=int, default=-1)
     parser.add_argument("--tables", action="store_true", help="write the tables of results.csv alone")
     arguments = parser.parse_args()
-    if not arguments.tables:
-        run(arguments.out, arguments.episodes, Workers(arguments.jobs))
-    numbers = read()
+    path = RESULTS if arguments.tables else run(arguments.out, arguments.episodes, Workers(arguments.jobs))
+    numbers = read(path)
     for document in documents():
-        write_atomically(document, fill_tables(document.read_text(encoding="utf-8"), numbers))
+        text = fill_tables(document.read_text(encoding="utf-8"), numbers)
+        if path == RESULTS:
+            write_atomically(document, text)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from operator import itemgetter
@@ -14,7 +13,9 @@ from typing import get_args
 
 from ptne_env import CATALOGUE
 from ptne_env.evaluation import ENTERED, POLICIES
-from ptne_env.evaluation.metrics import number
+from ptne_env.evaluation.results import SHOWN as SHOWN_METRICS
+from ptne_env.evaluation.results import standing
+from ptne_env.evaluation.statistics import Summary
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.fields import FIELDS, InterfaceKind
 from ptne_env.suites.robustness import robustness
@@ -37,6 +38,12 @@ SHOWN_ON_WORLDS = ("static", "grounded", "proximal-best-response", "routed-unkno
 SHOWN_ON_SCENARIOS = ("static", "grounded", "routed-unknown", "observer-relay", "ppo-random-energy", "oracle")
 NEAR = 0.5
 """Digits by which a policy may miss the best one and is near."""
+
+HEADINGS = "digits", "on the way", "worst tenth"
+"""The headings of the metrics that every table shows."""
+
+MINUS_BEST_LAW, MINUS_PAPER = "digits_minus_best_law", "digits_minus_static"
+"""The digits of a policy minus those of the best law, but itself, and of the paper's law, in the same episodes."""
 
 ALL = "all"
 """The track of scores, which are over all tracks."""
@@ -65,14 +72,9 @@ class Published:
         return {policy: cell for policy, cell in cells.items() if cell is not None}
 
     def ranked(self, suite: str, track: str) -> list[str]:
-        """The policies that act on a track, the best first: by digits to two decimals, then by mean regret."""
-        regrets = self.by_policy(suite, track, "mean_regret")
-
-        def key(item: tuple[str, Row]) -> tuple[float, float]:
-            regret = regrets.get(item[0])
-            return -round(float(item[1]["mean"]), 2), math.inf if regret is None else float(regret["mean"])
-
-        return [policy for policy, _ in sorted(self.by_policy(suite, track).items(), key=key)]
+        """The policies that act on a track, the best first, as the leaderboard has them."""
+        digits, on_the_way = (self.by_policy(suite, track, metric) for metric in SHOWN_METRICS[:2])
+        return sorted(digits, key=lambda name: standing(summary(digits[name]), summary(on_the_way.get(name))))
 
 
 def plain(row: Row | None) -> str:
@@ -82,10 +84,15 @@ def plain(row: Row | None) -> str:
 
 def with_interval(row: Row | None) -> str:
     """The mean with its 95 % interval."""
-    if row is None:
-        return "–"
+    if row is None or not row["low"]:
+        return plain(row)
     mean, low, high = (f"{float(row[key]):.2f}" for key in ("mean", "low", "high"))
     return mean if low == high else f"{mean} [{low}, {high}]"
+
+
+def summary(row: Row | None) -> Summary | None:
+    """The mean and its interval as numbers."""
+    return row and Summary(*(float(row[key]) if row[key] else None for key in ("mean", "low", "high")))
 
 
 def markdown(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -95,33 +102,30 @@ def markdown(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     )
 
 
-def regret(row: Row | None) -> str:
-    """A mean regret with three significant digits; a dash where there is none."""
-    return "–" if row is None else number(float(row["mean"]))
-
-
 def by_track(numbers: Published, suite: str, policies: Sequence[str]) -> str:
-    """A row per track and a column per policy; of a suite also the scores and mean regrets over all scored tracks."""
+    """A row per track and a column per policy; of a suite also the means over all scored tracks."""
     rows = [
         [track, *(plain(numbers.cell(suite, track, policy)) for policy in policies)]
         for track in numbers.names("track", suite)
     ]
-    if numbers.cell(suite, ALL, policies[0], "score") is not None:
-        rows.append(["**score**", *(plain(numbers.cell(suite, ALL, policy, "score")) for policy in policies)])
-        rows.append(["mean regret", *(regret(numbers.cell(suite, ALL, policy, "mean_regret")) for policy in policies)])
+    if numbers.by_policy(suite, ALL):
+        rows += [
+            [label, *(plain(numbers.cell(suite, ALL, policy, metric)) for policy in policies)]
+            for label, metric in zip(("**score**", *HEADINGS[1:]), SHOWN_METRICS, strict=True)
+        ]
     return markdown([suite.replace("comparison", "scenario"), *policies], rows)
 
 
 def best_law(numbers: Published, suite: str, track: str, without: str = "") -> tuple[str, Row]:
     """The best law of a track, perhaps but one, and its digits."""
-    rows = numbers.by_policy(suite, track, "score" if track == ALL else "digits")
+    rows = numbers.by_policy(suite, track)
     laws = {name: row for name, row in rows.items() if POLICIES[name].is_law and name != without}
     return max(laws.items(), key=lambda item: float(item[1]["mean"]))
 
 
 def best_standard(numbers: Published, track: str) -> str:
     """The best policy of a standard algorithm: the shipped PPO, or on some tracks those of ``marl.json``."""
-    row = numbers.cell("ptne-v1", track, "ppo-ptne-v1", "score" if track == ALL else "digits")
+    row = numbers.cell("ptne-v1", track, "ppo-ptne-v1")
     digits = {} if row is None else {"ppo": float(row["mean"])}
     trained = json.loads(ALGORITHMS.read_text(encoding="utf-8"))["runs"]["ptne-v1"]
     for name, runs in trained.get(track, {}).items():
@@ -132,12 +136,19 @@ def best_standard(numbers: Published, track: str) -> str:
 
 
 def headline(numbers: Published) -> str:
-    """The paper's law, the best law, the best standard algorithm and the recurrent network on each track of ptne-v1."""
+    """The paper's law, the best law, the best standard algorithm and the recurrent network on each track of ptne-v1.
+
+    Of the best law and the network, the one that leads is bold: the interval of their paired difference is clear of 0.
+    """
     rows = []
     for track in (*numbers.names("track", "ptne-v1"), ALL):
         name, best = best_law(numbers, "ptne-v1", track)
-        ours = [numbers.cell("ptne-v1", track, policy, best["metric"]) for policy in ("static", TRAINED)]
-        cells = [plain(ours[0]), f"{plain(best)} {name}", best_standard(numbers, track), plain(ours[1])]
+        paper, trained = (plain(numbers.cell("ptne-v1", track, policy)) for policy in ("static", TRAINED))
+        lead = summary(numbers.cell("ptne-v1", track, TRAINED, MINUS_BEST_LAW))
+        law = f"{plain(best)} {name}"
+        if lead is not None and lead.low is not None and lead.high is not None:
+            trained, law = f"**{trained}**" if lead.low > 0 else trained, f"**{law}**" if lead.high < 0 else law
+        cells = [paper, law, best_standard(numbers, track), trained]
         rows.append(["**score**" if track == ALL else track, *cells])
     return markdown(
         ["track", "the paper's law", "best law", "best standard algorithm", "trained through the world"], rows
@@ -145,18 +156,21 @@ def headline(numbers: Published) -> str:
 
 
 def overall(numbers: Published) -> str:
-    """Scores, mean regrets and ranks of all policies on ptne-v1."""
+    """Scores and ranks of all policies on ptne-v1, in the order of the leaderboard."""
     rows = [
         [
-            row["policy"],
-            with_interval(row),
-            regret(numbers.cell("ptne-v1", ALL, row["policy"], "mean_regret")),
-            plain(numbers.cell("ptne-v1", ALL, row["policy"], "rank")),
+            policy,
+            *(with_interval(numbers.cell("ptne-v1", ALL, policy, metric)) for metric in SHOWN_METRICS),
+            plain(numbers.cell("ptne-v1", ALL, policy, "rank")),
         ]
-        for row in numbers.rows
-        if (row["suite"], row["metric"]) == ("ptne-v1", "score")
+        for policy in (row["policy"] for row in numbers.rows if lies_in(row, "ptne-v1", ALL, "digits"))
     ]
-    return markdown(["policy", "score", "mean regret", "mean rank"], rows)
+    return markdown(["policy", "score", *HEADINGS[1:], "mean rank"], rows)
+
+
+def lies_in(row: Row, *place: str) -> bool:
+    """Whether a row is of a suite, track and metric."""
+    return (row["suite"], row["track"], row["metric"]) == place
 
 
 def best_on(numbers: Published, suite: str, world: str) -> tuple[str, float]:
@@ -166,9 +180,10 @@ def best_on(numbers: Published, suite: str, world: str) -> tuple[str, float]:
 
 
 def fails(numbers: Published, suite: str, world: str, policy: str) -> bool:
-    """Whether a policy is worse than the paper's law by more than both intervals, or diverges more often."""
-    digits, diverged = (numbers.by_policy(suite, world, metric) for metric in ("digits", "diverged_share"))
-    is_worse = float(digits[policy]["high"]) < float(digits["static"]["low"])
+    """Whether the paper's law leads a policy in the same episodes, or the policy diverges more often."""
+    difference = summary(numbers.cell(suite, world, policy, MINUS_PAPER))
+    diverged = numbers.by_policy(suite, world, "diverged_share")
+    is_worse = difference is not None and difference.high is not None and difference.high < 0
     return is_worse or float(diverged[policy]["mean"]) > float(diverged["static"]["mean"])
 
 
@@ -201,18 +216,13 @@ def worlds(numbers: Published, suite: str) -> str:
 
 
 def all_policies(numbers: Published, suite: str) -> str:
-    """All policies on every track, the best first: digits with intervals, and mean regrets."""
+    """All policies on every track, the best first, with intervals."""
     rows = [
-        [
-            track,
-            policy,
-            with_interval(numbers.cell(suite, track, policy)),
-            regret(numbers.cell(suite, track, policy, "mean_regret")),
-        ]
+        [track, policy, *(with_interval(numbers.cell(suite, track, policy, metric)) for metric in SHOWN_METRICS)]
         for track in numbers.names("track", suite)
         for policy in numbers.ranked(suite, track)
     ]
-    return markdown([suite.replace("comparison", "scenario"), "policy", "digits", "mean regret"], rows)
+    return markdown([suite.replace("comparison", "scenario"), "policy", *HEADINGS], rows)
 
 
 def fields(_: Published) -> str:
@@ -267,7 +277,7 @@ def documents() -> list[Path]:
     return [ROOT / "README.md", *sorted(ROOT.glob("docs/*.md")), *sorted(ROOT.glob("baselines/*.md"))]
 
 
-def read() -> Published:
+def read(path: Path = RESULTS) -> Published:
     """The published numbers."""
-    with RESULTS.open(encoding="utf-8", newline="") as file:
+    with path.open(encoding="utf-8", newline="") as file:
         return Published(list(csv.DictReader(file)))
