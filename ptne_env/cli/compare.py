@@ -122,9 +122,8 @@ def compare(
     with progress(f"{title}: making the jobs") as advance:
         runner = Runner(folder, workers, lambda job, done, total: advance(round(share * done / total), 100, job), rerun)
         results = run(seed=seed, run=runner)
-        failed = [f"Failed: {name} on {place}: {reason}" for (place, name), reason in results.failures.items()]
         if not results.samples:
-            say("\n".join(failed))
+            say("\n".join(f"{name} on {place} {reason}" for (place, name), reason in results.reasons.items()))
             raise typer.Exit(ExitCode.FAILED)
         text = results.to_json()
         write_json(json, text)
@@ -143,14 +142,12 @@ def compare(
     if details:
         screen.print(result_tables(results, screen.width))
     screen.print(answer_tables(results, screen.width))
-    for line in failed:
-        say(line)
     if files:
         replaced = ", in place of earlier ones there; --out FOLDER keeps both" * earlier
         say(f"Results written to {files[0]} and {files[1]}{replaced}")
     if page is not None:
         say(f"Report written to {page}: open it in a browser")
-    if failed:
+    if results.failures:
         raise typer.Exit(ExitCode.FAILED)
 
 

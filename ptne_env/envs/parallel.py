@@ -15,7 +15,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from ptne_env.envs.rendering import Renderer
 from ptne_env.envs.simulation import Simulation, override_fields, player_encoder, read_estimates, require_options
-from ptne_env.perception.encoder import NonFiniteActionError
+from ptne_env.perception.encoder import NonFiniteActionError, find_action_fault
 from ptne_env.perception.fields import OBSERVATION_BOUND, InterfaceKind
 from ptne_env.perception.observation import Interface, ObservationLayout
 from ptne_env.shared.arrays import Float32Array, FloatArray
@@ -324,24 +324,9 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
                 f"step() needs one action per live agent; missing: {', '.join(missing) or 'none'}; unknown: "
                 f"{', '.join(map(str, unknown)) or 'none'}; live: {', '.join(self.agents)}"
             )
-        faults = {agent: _find_fault(actions[agent], self._actions_shape[2:]) for agent in self.agents}
+        faults = {agent: find_action_fault(actions[agent], self._actions_shape[2:]) for agent in self.agents}
         texts = [f"the action of {agent} {fault}" for agent, fault in faults.items() if fault]
         return ValueError("; ".join(texts[:3]) + f"; and {len(texts) - 3} more players" * (len(texts) > 3))
-
-
-def _find_fault(action: Any, shape: tuple[int, ...]) -> str | None:
-    """Return what is wrong with an action, or ``None``."""
-    if isinstance(action, MaskedArray):
-        return "is a masked array; expected a plain one"
-    try:
-        row = np.asarray(action)
-    except ValueError:
-        return f"is ragged; expected the shape {shape}"
-    if row.dtype.kind not in "fiu":
-        return f"has the dtype {row.dtype}; expected numbers, such as float32"
-    if row.shape != shape:
-        return f"has the shape {row.shape}; expected {shape}"
-    return None if np.isfinite(row).all() else "is not finite; expected numbers without NaN or infinity"
 
 
 parallel_env = NashSeekingEnv

@@ -22,6 +22,13 @@ NOT_ROW_WISE = (
 )
 """The reason of a failure where the witness received other rows and decided differently."""
 
+DOES_NOT_REPEAT = (
+    "it does not repeat: a second one that is built afresh decides differently at the same observations. Switch a "
+    "network to evaluation (.eval()), take random numbers from a generator that the policy seeds itself, and keep "
+    "memory in the state that predict returns"
+)
+"""The reason where the witness received the same batch."""
+
 USES_OTHER_LINKS = (
     "it uses links of other players: with the neighbours of one player alone it decides differently for that player. "
     "A decision may depend on the player's own row of layout.neighbours alone"

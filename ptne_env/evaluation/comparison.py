@@ -9,7 +9,16 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ptne_env.evaluation.audit import USES_OTHER_LINKS, AuditError, Witness, rows_of_one, sample_rows, with_links_of
+from ptne_env.evaluation.audit import (
+    DOES_NOT_REPEAT,
+    NOT_ROW_WISE,
+    USES_OTHER_LINKS,
+    AuditError,
+    Witness,
+    rows_of_one,
+    sample_rows,
+    with_links_of,
+)
 from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.metrics import measure
 from ptne_env.evaluation.policy_spec import PolicySpec, get_policy_spec
@@ -95,9 +104,17 @@ class Job:
     def _witnesses(
         self, layout: ObservationLayout, deciding: Sequence[int], *, thorough: bool, fills: bool
     ) -> list[Witness]:
-        """Build fresh policies that audit the decisions; the last one knows the links of one player alone."""
-        samples = sample_rows(self.episodes.count, len(deciding), thorough=thorough)
-        witnesses = [Witness(self.policy.build(layout, self.training_seed), rows, fills=fills) for rows in samples]
+        """Build fresh policies that audit the decisions; the last one knows the links of one player alone.
+
+        Where they fill the batch, the first one gets the batch as it is, and shows whether the policy repeats at all.
+        """
+        samples = [(rows, NOT_ROW_WISE) for rows in sample_rows(self.episodes.count, len(deciding), thorough=thorough)]
+        if fills:
+            samples.insert(0, (np.arange(self.episodes.count * len(deciding)), DOES_NOT_REPEAT))
+        witnesses = [
+            Witness(self.policy.build(layout, self.training_seed), rows, reason, fills=fills)
+            for rows, reason in samples
+        ]
         place, rows = rows_of_one(self.episodes.count, len(deciding))
         try:
             alone = self.policy.build(with_links_of(layout, deciding[place]), self.training_seed)

@@ -134,7 +134,7 @@ def measure(rollout: Rollout) -> dict[str, FloatArray]:
             continue
         try:
             values[name] = np.asarray(metric.value(rollout), dtype=np.float64)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise ValueError(f"metric {name!r} raised {describe(error)}") from error
         if values[name].shape != shape:
             raise ValueError(

@@ -123,9 +123,9 @@ class PolicySpec:
             _require_observations_of(layout, built)
             if hasattr(built, "with_layout"):  # one object plays many worlds
                 built = built.with_layout(layout)
-        except (LayoutError, MemoryError):
+        except LayoutError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             called = "; it is called with the layout" * isinstance(error, TypeError)
             raise PolicyError(f"it cannot be built: {describe(error)}{called}") from error
         if not hasattr(built, "predict"):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ptne_env.evaluation.audit import Witness
 from ptne_env.games import NoBestResponseError
-from ptne_env.perception.encoder import Encoder
+from ptne_env.perception.encoder import Encoder, find_action_fault
 from ptne_env.perception.policy import Policy, PolicyError, decision, describe
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, ordered_sum
 from ptne_env.shared.names import unknown_name
@@ -126,7 +126,7 @@ class Member:
         """Return inputs u of shape (n, N, B), which are 0 for all other players.
 
         Raises:
-            PolicyError: when the policy raises, returns actions of another shape or actions that are not finite, or
+            PolicyError: when the policy raises, answers with anything but finite actions of the right shape, or
                 does not pass the audit.
         """
         layout, batch = self.encoder.layout, dynamics.batch_size(state)
@@ -142,9 +142,7 @@ class Member:
             actions = self._ask(observations.reshape(rows, -1)).reshape(shape)
         except PolicyError as error:
             raise type(error)(f"step {int(state.step[0])}: {error}") from error
-        except MemoryError:
-            raise
-        except Exception as error:  # of the policy or of a witness
+        except (Exception, SystemExit) as error:  # of the policy or of a witness
             raise PolicyError(f"step {int(state.step[0])}: {describe(error)}") from error
         if is_alone:
             return self.encoder.decode(actions, state)
@@ -157,16 +155,14 @@ class Member:
     def _ask(self, observations: Float32Array) -> npt.NDArray[Any]:
         """Ask the policy for actions (R, action size) at observations (R, size), check and audit them."""
         started = perf_counter()
-        answer, self._memory = decision(self.policy, observations, self._memory, self._episode_start)
+        given = observations.copy() if self.witnesses else observations  # a policy may write into what it is given
+        answer, self._memory = decision(self.policy, given, self._memory, self._episode_start)
         self.seconds += perf_counter() - started
         self._episode_start = np.zeros_like(self._episode_start)
-        actions, expected = np.asarray(answer), (len(observations), self.encoder.layout.action_size)
-        if actions.shape != expected:
-            raise PolicyError(
-                f"it answered {expected[0]} observations with actions of shape {actions.shape}; expected {expected}"
-            )
-        if not np.isfinite(actions).all():
-            raise PolicyError("it answered with an action that is not finite; expected numbers without NaN or inf")
+        rows = len(observations)
+        if fault := find_action_fault(answer, (rows, self.encoder.layout.action_size)):
+            raise PolicyError(f"its answer to {rows} observations {fault}")
+        actions = np.asarray(answer)
         for witness in self.witnesses:
             witness.compare(observations, actions)
         return actions
@@ -192,7 +188,7 @@ def rollout(
         witnesses: the witnesses that audit the decisions of ``policy``.
 
     Raises:
-        PolicyError: when a policy raises, returns actions of another shape or actions that are not finite, or does not
+        PolicyError: when a policy raises, answers with anything but finite actions of the right shape, or does not
             pass the audit.
     """
     world, batch = encoder.world, dynamics.batch_size(start)

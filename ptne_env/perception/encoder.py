@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
+from numpy.ma import MaskedArray
 
 from ptne_env.perception.fields import FIELDS, SMALLEST_SCALE, InterfaceKind
 from ptne_env.perception.observation import INPUT_PER_ACTION, Interface, ObservationLayout
@@ -32,6 +33,21 @@ _WORKSPACES = 2
 
 class NonFiniteActionError(ValueError):
     """An action holds NaN or infinity."""
+
+
+def find_action_fault(action: Any, shape: tuple[int, ...]) -> str | None:
+    """Return what is wrong with an action of one player, or with those of several, or ``None``."""
+    if isinstance(action, MaskedArray):
+        return "is a masked array; expected a plain one"
+    try:
+        row = np.asarray(action)
+    except ValueError:
+        return f"is ragged; expected the shape {shape}"
+    if row.dtype.kind not in "fiu":
+        return f"has the dtype {row.dtype}; expected numbers, such as float32"
+    if row.shape != shape:
+        return f"has the shape {row.shape}; expected {shape}"
+    return None if np.isfinite(row).all() else "is not finite; expected numbers without NaN or infinity"
 
 
 @dataclass(slots=True)

@@ -16,9 +16,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from extras import need_sb3
+from extras import need_onnx, need_sb3
 
 from ptne_env.cli.app import ExitCode, main
+from ptne_env.learn import shipped_path
 from ptne_env.shared.files import DamagedFileError
 
 ROOT = Path(__file__).parents[2]
@@ -277,12 +278,23 @@ def test_scenarios_and_policies_of_an_own_module_are_found_in_the_current_folder
 def test_a_failing_policy_is_named_with_its_error_and_the_others_go_on(own_module, run):
     outcome = run("compare energy --policy static,talkative:broken --episodes 1 --jobs 1 --trust")
     assert outcome.code == ExitCode.FAILED
-    assert re.search("Failed: talkative:broken on energy: .*ZeroDivisionError", outcome.out)
+    assert re.search("failed: talkative:broken on energy: .*ZeroDivisionError", " ".join(outcome.out.split()))
     assert "Traceback" not in outcome.err
     folder = own_module / "results" / "comparison"
     records = json.loads((folder / "results.json").read_text(encoding="utf-8"))["records"]
     assert {record["policy"] for record in records} == {"static"}
     assert "ZeroDivisionError" in (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_policy_that_cannot_play_a_track_is_in_the_answer_with_its_reason(tmp_path, run):
+    need_onnx()
+    (tmp_path / "mine.onnx").write_bytes(shipped_path("ppo-ptne-v1").read_bytes())
+    outcome = run("compare --suite ptne-v1 nominal uneven-box --policy mine.onnx,static --episodes 2 --jobs 1")
+    assert outcome.code == 0
+    words = " ".join(outcome.out.split())
+    assert "mine has no result on uneven-box, for the reason below the table." in words
+    assert "n/a: mine on uneven-box: the policy was made for another layout; " in words
+    assert re.search(r"uneven-box\s+\S+ ±\S+\s+n/a", outcome.out)
 
 
 @pytest.mark.parametrize(

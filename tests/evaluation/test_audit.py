@@ -120,6 +120,33 @@ def test_decisions_that_are_not_row_wise_or_use_other_links_fail_the_audit(polic
     assert (BASE.name, "static") in results.samples
 
 
+class Samples(laws.Static):
+    """The static law with noise that no seed repeats, as dropout and sampling give."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        actions, state = super().predict(observation, state, episode_start, deterministic)
+        return actions + np.random.default_rng().normal(size=actions.shape).astype(np.float32), state
+
+
+def test_a_policy_that_does_not_repeat_is_told_so():
+    failure = evaluate(Samples, BASE, episodes=2).failures[BASE.name, "Samples"]
+    assert failure.startswith("step 0: it does not repeat: ")
+    assert all(hint in failure for hint in (".eval()", "seeds itself", "the state that predict returns"))
+
+
+def test_a_policy_may_write_into_its_observations():
+    class Writes(laws.Static):
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            answer = super().predict(observation, state, episode_start, deterministic)
+            observation[:] = 0
+            return answer
+
+    results = evaluate([Writes, "static"], BASE, episodes=3)
+    assert not results.failures
+    one, other = (results.samples[BASE.name, name]["digits"] for name in ("Writes", "static"))
+    np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.parametrize("episodes", [1, 2, 3, 7])
 def test_rounding_that_depends_on_the_size_of_the_batch_passes_the_audit(episodes):
     """As torch does it: rows of small batches, and the last numbers of a batch, are rounded otherwise."""

@@ -24,3 +24,13 @@ def test_more_episodes_extend_a_set_and_leave_its_beginning_alone():
     np.testing.assert_array_equal(longer.estimates[..., :3], shorter.estimates)
     for parameter in ("curvature", "target", "coupling"):
         np.testing.assert_array_equal(getattr(longer.game, parameter)[..., :3], getattr(shorter.game, parameter))
+
+
+def test_splits_share_no_episode():
+    world = World(ptne_env.get_scenario("random-energy"))
+    sets = [EpisodeSet(2, seed, split) for split in ("train", "validation", "test") for seed in (0, 1)]
+    seeds = [episodes.episode_seed(episode) for episodes in sets for episode in range(2)]
+    assert len(set(seeds)) == len(seeds) == 12
+    starts = np.concatenate([episodes.initial_state(world).estimates for episodes in sets], axis=-1)
+    assert len(np.unique(starts, axis=-1).T) == 12
+    assert episode_seed(0, 3, "train") == 3  # the seeds that people choose by hand

@@ -15,7 +15,8 @@ import ptne_env
 from ptne_env import PolicySpec, evaluate, laws
 from ptne_env.evaluation import METRICS, Metric, Results, register
 from ptne_env.evaluation.metrics import number
-from ptne_env.evaluation.results import read_results
+from ptne_env.evaluation.results import read_results, standing
+from ptne_env.evaluation.statistics import Summary
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +72,17 @@ def test_a_difference_is_paired_and_over_the_tracks_that_both_play(results):
         results.difference("sttic", "zero-input")
     with pytest.raises(ValueError, match="unknown metric 'digit'; did you mean 'digits'"):
         results.difference("static", "zero-input", metric="digit")
+
+
+def test_policies_stand_by_digits_to_two_decimals_and_then_by_digits_on_the_way():
+    def place(digits, on_the_way):
+        return standing(*(None if mean is None else Summary(mean, mean, mean) for mean in (digits, on_the_way)))
+
+    order = [place(5.02, 0.0), place(5.014, 0.0), place(5.006, 2.0), place(5.014, 1.0), place(4.98, 9.0)]
+    ranked = [place(5.02, 0.0), place(5.006, 2.0), place(5.014, 1.0), place(5.014, 0.0), place(4.98, 9.0)]
+    assert sorted(order) == ranked
+    assert place(4.98, 9.0) < place(None, 9.0)
+    assert place(5.0, 0.0) < place(5.0, None)
 
 
 def test_records_cover_every_track_policy_and_metric_once(results):

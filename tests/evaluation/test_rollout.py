@@ -1,12 +1,13 @@
 """The batched rollout against the environment, step by step."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import ptne_env
-from ptne_env import laws
+from ptne_env import PolicySpec, evaluate, laws
 from ptne_env.evaluation.episodes import EpisodeSet, episode_seed
 from ptne_env.evaluation.metrics import measure, settling_time
 from ptne_env.evaluation.rollout import Rollout, rollout
@@ -67,6 +68,16 @@ def test_digits_after_hold_exist_only_with_a_hold_phase():
     assert np.isnan(measure(without)["digits_after_hold"]).all()
     assert measure(with_hold)["digits_after_hold"][0] > measure(with_hold)["digits"][0] + 0.3
     assert measure(with_hold)["digits"] == measure(without)["digits"]
+
+
+def test_digits_on_the_way_are_the_mean_after_every_step_to_the_deadline():
+    world, batch = run(ptne_env.get_scenario("energy", start="random", hold_steps=9), laws.Static)
+    after = -np.log10(batch["estimate_distance"][1 : world.clock.steps + 1])
+    assert measure(batch)["digits_on_the_way"] == pytest.approx(after.mean(axis=0), rel=1e-9)
+    _, still = run(ptne_env.get_scenario("energy", start="random"), laws.ZeroInput)
+    assert measure(still)["digits_on_the_way"] == pytest.approx(measure(still)["digits"])
+    _, oracle = run(ptne_env.get_scenario("energy", start="random"), laws.Oracle, Interface("full"))
+    assert measure(oracle)["digits_on_the_way"].max() <= 12
 
 
 def test_mean_regret_is_the_mean_over_time_relative_to_the_start():
@@ -138,11 +149,51 @@ class Answering:
     [
         (lambda observation: np.zeros((len(observation), 4), dtype=np.float32), "shape"),
         (lambda observation: np.full((len(observation), 5), np.nan, dtype=np.float32), "not finite"),
+        (lambda observation: np.zeros((len(observation), 5), dtype=np.complex64), "has the dtype complex64"),
+        (lambda observation: np.zeros((len(observation), 5), dtype=bool), "has the dtype bool"),
+        (lambda observation: np.ma.masked_array(np.zeros((len(observation), 5))), "is a masked array"),
+        (lambda observation: [[0.0], *([0.0] * 5 for _ in observation[1:])], "is ragged"),
     ],
 )
 def test_actions_of_a_wrong_shape_or_value_are_refused(answer, message):
     with pytest.raises(PolicyError, match=f"step 0: .*{message}"):
         run(ptne_env.get_scenario("energy"), lambda layout: Answering(answer), episodes=1)
+
+
+@pytest.mark.parametrize(
+    "action", [np.zeros(5, complex), np.zeros(5, bool), np.ma.masked_array(np.zeros(5)), np.ones(4)]
+)
+def test_evaluation_and_an_environment_refuse_an_action_in_the_same_words(action):
+    env = ptne_env.parallel_env("energy", interface="physical")
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="the action of player_0 ") as refused:
+        env.step(dict.fromkeys(env.agents, action))
+    words = str(refused.value).split("; the action of")[0].removeprefix("the action of player_0 ").partition(" (")[0]
+    answer = np.ma.stack([action] * 5) if isinstance(action, np.ma.MaskedArray) else np.stack([action] * 5)
+    with pytest.raises(PolicyError, match=re.escape(f"its answer to 5 observations {words}")):
+        run(ptne_env.get_scenario("energy"), lambda layout: Answering(lambda _: answer), episodes=1)
+
+
+@pytest.mark.parametrize("error", [SystemExit(0), SystemExit("bye"), MemoryError("too much")])
+def test_a_policy_that_exits_or_needs_too_much_memory_fails_like_any_other(error):
+    def raising(_):
+        raise error
+
+    results = evaluate({"mine": Answering(raising), "static": laws.Static}, "energy", episodes=1)
+    assert results.failures["energy", "mine"].startswith(f"step 0: {type(error).__name__}")
+    assert ("energy", "static") in results.samples
+    assert (
+        "cannot be built"
+        in evaluate({"mine": raising, "static": laws.Static}, "energy", episodes=1).failures["energy", "mine"]
+    )
+
+
+def test_ctrl_c_within_a_policy_ends_the_run():
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(PolicySpec("mine", Answering(interrupted)), "energy", episodes=1)
 
 
 def test_settling_time_is_the_first_instant_after_which_the_distance_stays_inside():
