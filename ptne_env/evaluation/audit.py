@@ -63,11 +63,7 @@ class Witness:
         self._is_first = True
 
     def compare(self, observations: Float32Array, actions: npt.NDArray[Any]) -> None:
-        """Compare the decisions of the witness with those of the policy that is measured.
-
-        Args:
-            observations: the observations of the whole batch, shape (R, size).
-            actions: the actions of the policy that is measured, shape (R, action size).
+        """Compare the decisions of the witness with the ``actions`` of the policy that is measured, all of R rows.
 
         Raises:
             AuditError: when a decision differs.

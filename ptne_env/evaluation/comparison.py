@@ -59,11 +59,7 @@ class JobResult:
 class Job:
     """One policy with one training seed on one track: everything that its numbers depend on.
 
-    Attributes:
-        track: the track, with its scenario.
-        policy: the policy, with all its training seeds.
-        training_seed: the index of the training seed that is run.
-        episodes: the episode set.
+    The training seed is the index of one of those of the policy.
     """
 
     track: Track
@@ -207,15 +203,7 @@ def compare(
     run: Run = run_serially,
     target: str | None = None,
 ) -> Results:
-    """Run every policy on every track.
-
-    Args:
-        name: the name of the comparison or suite.
-        tracks: the tracks, in the order of tables.
-        policies: the policies, in the order of tables.
-        episodes: the episode set of each track.
-        run: how jobs are run, as for :func:`evaluate`.
-        target: the string by which a suite is found again.
+    """Run every policy on every track, in the order of tables; the rest is as in :class:`Results`.
 
     Raises:
         ValueError: for repeated names or no policy, or when a policy fits no track.

@@ -102,13 +102,9 @@ class Member:
 
     The policy is called with ``deterministic=True``, and its memory is passed back to it unread.
 
-    Args:
-        policy: the policy, built for the layout of ``encoder``.
-        encoder: the encoder, which makes its observations and decodes its actions.
+    Attributes:
         players: the indices of the players for which it decides.
         witnesses: the witnesses that audit its decisions.
-
-    Attributes:
         seconds: the wall time of the policy so far.
     """
 
@@ -179,7 +175,7 @@ def rollout(
     """Run a policy from the state at t = 0 to the end of every episode.
 
     Args:
-        policy: the policy that is measured.
+        policy: the policy that is measured, built for the layout of ``encoder``.
         encoder: the encoder, which makes its observations and decodes its actions.
         start: the initial state of all episodes.
         teammates: a member that decides for its players; ``policy`` then decides for the other players only.

@@ -19,12 +19,7 @@ from ptne_env.world.world import World
 
 @dataclass(frozen=True)
 class Teammates:
-    """The players of a track that follow a fixed policy.
-
-    Attributes:
-        policy: the policy that they follow, built for its own interface.
-        players: their indices.
-    """
+    """The players of a track, by their indices, that follow a fixed policy, which is built for its own interface."""
 
     policy: FactorySpec
     players: tuple[int, ...]
@@ -110,11 +105,7 @@ def _world(scenario: Scenario, definitions: tuple[Any, ...]) -> World:  # noqa: 
 
 
 def compared_tracks(scenarios: Iterable[str | Scenario | Track]) -> tuple[Track, ...]:
-    """Return the tracks of a comparison. A track in which nothing is random has one episode.
-
-    Args:
-        scenarios: names of the catalogue; ``"module:object"`` of scenarios or of functions that make them; scenarios;
-            or tracks.
+    """Return the tracks of what :func:`ptne_env.evaluate` takes. One in which nothing is random has one episode.
 
     Raises:
         ValueError: for an unknown name, a ``"module:object"`` that is no scenario, repeated names, or none.

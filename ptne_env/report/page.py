@@ -108,16 +108,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """The content of a page.
-
-    Attributes:
-        title: the title.
-        sections: the sections in their order.
-        question: the question that the page answers.
-        answer: the answer in sentences.
-        dots: the answer as a picture.
-        scenes: the scenes that the player shows, by name.
-    """
+    """The content of a page: sections, the answer in sentences and as a picture, and scenes for the player by name."""
 
     title: str
     sections: tuple[Section, ...]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from ptne_env.evaluation.metrics import METRICS, number
 from ptne_env.evaluation.policy_spec import POLICIES
@@ -66,13 +67,7 @@ def _two_decimals(value: float) -> str:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
-
-    Attributes:
-        label: the heading.
-        cells: the cells by row.
-        meaning: what the values mean, in a phrase.
-    """
+    """A column of a table: its heading, the cells by row, and what they mean, in a phrase."""
 
     label: str
     cells: Mapping[str, Cell]
@@ -85,15 +80,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
-
-    Attributes:
-        caption: the title.
-        subject: the heading of the names of the rows.
-        rows: the names of the rows.
-        columns: the columns beside the names.
-        notes: sentences below the table.
-    """
+    """A table, with the heading of the names of its rows as ``subject``, and sentences below it as ``notes``."""
 
     caption: str
     subject: str
@@ -109,15 +96,7 @@ def text_table(
     rows: Iterable[tuple[str, ...]],
     notes: tuple[str, ...] = (),
 ) -> Table:
-    """Return a table of words.
-
-    Args:
-        caption: the title.
-        subject: the heading of the names of the rows.
-        headings: the headings of the other columns.
-        rows: the name of each row, which no other row has, and a text per heading.
-        notes: sentences below the table.
-    """
+    """Return a table of words, whose rows are the name of each, which no other row has, and a text per heading."""
     texts = {name: row for name, *row in rows}
     columns = (
         Column(heading, {name: Cell(row[index], is_text=True) for name, row in texts.items()})
@@ -149,7 +128,7 @@ def answer_table(results: Results) -> Table:
             cells |= dict(zip((score, *BESIDE), map(Cell.plus_minus, means[name]), strict=True))
         columns.append(Column(_mark_oracle(results, name), cells, f"digits of {name}"))
     counts = sorted({results.episodes[track] for track in tracks})
-    episodes = " to ".join(str(count) for count in dict.fromkeys([counts[0], counts[-1]]))
+    episodes = " to ".join(map(str, dict.fromkeys([counts[0], counts[-1]])))
     notes = [DIGITS_NOTE, BESIDE_NOTE]
     if any("n/a" in cell.text and cell.value is not None for column in columns for cell in column.cells.values()):
         notes.append("±n/a: one random episode has no interval")
@@ -294,6 +273,7 @@ def _rank_policies(results: Results) -> list[str]:
     return sorted(results.policies, key=key)
 
 
+@lru_cache(maxsize=4)
 def means_over_tracks(results: Results) -> dict[str, tuple[Summary, ...]]:
     """Return the means of :data:`SHOWN` over the scored tracks of a suite, or all of a comparison.
 
@@ -342,7 +322,7 @@ def _list_reasons(results: Results, tracks: Sequence[str]) -> tuple[str, ...]:
         if track in tracks:
             places.setdefault((policy, reason.partition(":")[0]), []).append(track)
     return tuple(
-        f"{verdict}: {policy} on {join_words(found)}: {results.reasons[found[0], policy].partition(': ')[2]}"
+        f"{verdict}: {policy} on {join_words(found, most=3)}: {results.reasons[found[0], policy].partition(': ')[2]}"
         for (policy, verdict), found in places.items()
     )
 

@@ -86,24 +86,16 @@ def _break_heading(column: Column) -> str:
 
 
 def answer_tables(results: Results, width: int) -> Group:
-    """Return one table of digits that fits the terminal, and one or two sentences.
+    """Return one table of digits that fits into ``width`` columns, and the sentences of :func:`answer`.
 
-    Args:
-        results: the results of a comparison or of another suite.
-        width: the number of columns of the terminal; policies that find no room are named below the table, but the
-            paper's law always finds room.
+    Policies that find no room are named below the table, but the paper's law always finds room.
     """
     sentences = (Text(textwrap.fill(sentence, min(width, _TEXT_WIDTH))) for sentence in answer(results))
     return Group(draw_table(answer_table(results), width, whole=False), *sentences, Text())
 
 
 def result_tables(results: Results, width: int = 172) -> Group:
-    """Return the tables of every track, then the leaderboard of a suite.
-
-    Args:
-        results: the results of a comparison or of another suite.
-        width: the number of columns of the terminal.
-    """
+    """Return the tables of every track, then the leaderboard of a suite, in ``width`` columns."""
     tables = [table for track in results.tracks for table in track_tables(results, track)]
     board = leaderboard_table(results)
     return Group(*(draw_table(table, width) for table in [*tables, *([board] if board else [])]))

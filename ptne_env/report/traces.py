@@ -80,12 +80,6 @@ def make_scene(
 ) -> Scene:
     """Run policies, each with its first training seed, from the same starts.
 
-    Args:
-        world: the world.
-        episodes: the episodes that are run.
-        policies: the policies, with different names.
-        teammates: a function that makes the teammates of each policy; ``None`` where there are none.
-
     Raises:
         ValueError: when a policy cannot act in this world.
     """

@@ -99,12 +99,7 @@ def _draw_pictures(
 
 
 def encode_gif(pictures: Iterator[Any], per_second: int = 20) -> bytes:
-    """Return pictures as the bytes of a GIF that stays on the last one for two seconds.
-
-    Args:
-        pictures: uint8 arrays of shape (height, width, 3).
-        per_second: the number of pictures per second.
-    """
+    """Return pictures, uint8 of shape (height, width, 3), as a GIF that stays on the last one for two seconds."""
     drawn = list(pictures)  # before Pillow is imported: a missing matplotlib, which brings it, has the clearer message
     from PIL import Image
 

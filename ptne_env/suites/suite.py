@@ -65,13 +65,7 @@ class Suite:
     def episode_set(
         self, track: str, episodes: int | None = None, *, seed: int = 0, split: Split = "test"
     ) -> EpisodeSet:
-        """Return the episodes of a track.
-
-        Args:
-            track: the name of the track.
-            episodes: the number of episodes in place of the suite's; a track with a number of its own keeps it.
-            seed: the seed of the set; that of published results is 0.
-            split: ``"test"``, ``"validation"`` or ``"train"``.
+        """Return the episodes of a track, whose own number stands before ``episodes``, and that before the suite's.
 
         Raises:
             ValueError: for an unknown track or split, or a number out of range.
@@ -149,9 +143,8 @@ def run_suite(
         tracks: one name of a track or several; all tracks if left out.
         episodes: the number of episodes per track; the suite's own number if left out.
         seed: the seed of the episode sets; that of published results is 0.
-        split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
-        run: a function that runs the jobs, one after the other in this process if left out, or a
-            :class:`ptne_env.execution.Runner`.
+        split: as for :func:`ptne_env.evaluate`.
+        run: likewise.
 
     Raises:
         ValueError: for unknown or repeated names, or a policy with the name of a reference policy.
@@ -196,10 +189,7 @@ class Row:
 
 
 def leaderboard(results: Results) -> tuple[Row, ...] | None:
-    """Return the rows of a suite, the best first and oracles last.
-
-    The leaderboard of a comparison, or without scored tracks, is ``None``.
-    """
+    """Return the rows of a suite, the best first and oracles last; ``None`` for a comparison, or without scores."""
     tracks = [track.name for track in results.tracks if track.scored]
     if results.is_comparison or not tracks:
         return None
