@@ -17,7 +17,7 @@ def test_golden_trajectories_are_of_this_physics_and_of_every_scenario():
     assert list(KEPT["trajectories"]) == golden.CASES, "a scenario is new, or gone: run python tests/golden.py"
 
 
-@pytest.mark.parametrize("case", golden.CASES)
+@pytest.mark.parametrize("case", [case for case in golden.CASES if case in KEPT["trajectories"]])
 def test_behaviour_is_that_of_the_golden_trajectory(case):
     name, kind = case.rsplit(", ", 1)
     found = golden.difference(KEPT["trajectories"][case], golden.trajectory(golden.SCENARIOS[name], kind))

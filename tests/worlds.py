@@ -200,6 +200,11 @@ def every_field():
     ]
 
 
+def whole_interface(units):
+    """The interface of these units that has every field which is available in them."""
+    return Interface(units, fields=tuple(case.values[0] for case in every_field() if case.values[1].units == units))
+
+
 def large_energy_scenario(players=11, **fields):
     """So many players that a sum over them may be taken in more than one order."""
     generator = np.random.default_rng(8)

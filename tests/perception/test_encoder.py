@@ -2,9 +2,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, world_and_encoder
+from worlds import BLOCKS, BLOCKS_SWITCHING, FAULTY, begin, every_field, whole_interface, world_and_encoder
 
 from ptne_env import CATALOGUE, get_scenario, laws
+from ptne_env.perception.fields import FIELDS
 from ptne_env.world import dynamics
 from ptne_env.world.world import RANGE_LIMIT
 
@@ -145,10 +146,21 @@ def test_terminal_observation_has_no_step_left():
     assert clock[1] == 8.0
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("scenario", [*map(WORLDS.get, ("energy", "energy-switching", "blocks-switching")), FAULTY])
+@pytest.mark.parametrize(("name", "interface"), every_field())
+def test_a_field_is_that_of_the_state_also_where_it_is_tabulated(name, interface, scenario):
+    """JAX reads the tables of numpy, so it cannot tell that a field follows more than the step."""
+    world, encoder = world_and_encoder(scenario, interface)
+    state = wander(world)._replace(step=np.array([37, 9]))
+    value = np.float32(FIELDS[name].value(encoder.look(world, state)))
+    found = encoder.layout.select(encoder.observe(state), name).transpose(2, 1, 0)
+    assert np.array_equal(found, np.broadcast_to(value, found.shape))
+
+
+@pytest.mark.parametrize("units", ["scaled", "physical"])
 @pytest.mark.parametrize("name", WORLDS)
-def test_space_contains_every_observation_also_at_the_edge_of_the_range(name, kind):
-    world, encoder = world_and_encoder(WORLDS[name], kind=kind)
+def test_space_contains_every_observation_also_at_the_edge_of_the_range(name, units):
+    world, encoder = world_and_encoder(WORLDS[name], whole_interface(units))
     space, players, n = encoder.layout.observation_space(), encoder.layout.num_players, encoder.layout.dimension
     shape = (n, players, 1)
     corners = np.random.default_rng(0).choice([-RANGE_LIMIT, RANGE_LIMIT], shape)

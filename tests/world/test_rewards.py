@@ -59,6 +59,7 @@ FORMULAS = {
 @pytest.mark.parametrize("game", GAMES)
 @pytest.mark.parametrize("name", TERMS)
 def test_a_term_is_that_of_an_independent_formula(name, game):
+    assert name in FORMULAS, f"the reward {name} is new: write its formula down once more, in FORMULAS"
     formula, slack = FORMULAS[name]
     world, _, states, terms = episode(GAMES[game], name)
     for before, after, term in zip(states[:-1], states[1:], terms, strict=True):
