@@ -49,7 +49,7 @@ def obstacles(root=ROOT):
     for name in published.missing(published.read()):
         yield f"{name} has no published numbers: run `make publish`."
     yield from (
-        f"{name}: the tables are not those of the published numbers: run `make publish`."
+        f"{name}: the tables are not those of the published numbers: run `python -m baselines.publish --tables`."
         for name in stale_tables(published.documents())
     )
 
