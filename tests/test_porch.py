@@ -162,7 +162,7 @@ def test_documents_with_other_numbers_and_policies_without_any_are_obstacles(rel
     monkeypatch.setattr(release_check.published, "missing", lambda _: ["static"])
     assert list(release_check.obstacles(release[0])) == [
         "static has no published numbers: run `make publish`.",
-        "README.md: the tables are not those of the published numbers: run `make publish`.",
+        "README.md: the tables are not those of the published numbers: run `python -m baselines.publish --tables`.",
     ]
 
 
