@@ -6,6 +6,7 @@ import importlib.util
 import itertools
 import re
 import shlex
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from processes import run_python
 
 import ptne_env
 from ptne_env.cli import app
+from ptne_env.shared.parts import FactorySpec
 from ptne_env.world.catalogue import CATALOGUE
 from ptne_env.world.rewards import TERMS
 
@@ -27,6 +29,7 @@ JAX = ROOT / "docs" / "jax.md"
 PARTS = ROOT / "docs" / "adding-parts.md"
 ECOSYSTEM = ROOT / "docs" / "ecosystem.md"
 REQUIREMENTS = ROOT / "examples" / "ecosystem" / "requirements"
+ARCHITECTURE = ROOT / "docs" / "architecture.md"
 ENVIRONMENT = ROOT / "docs" / "environment.md"
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -144,6 +147,31 @@ def exists(file, name):
         owner = getattr(owner, parent, None)
     fields = {field.name for field in dataclasses.fields(owner)} if dataclasses.is_dataclass(owner) else set()
     return last is None or hasattr(owner, last) or last in fields
+
+
+def test_the_walk_of_a_step_is_the_one_that_the_code_takes():
+    """Every stop of the table is called by ``env.step``, after the stop before; the last one is where it returns."""
+    env, calls = ptne_env.parallel_env("random-energy", channel=FactorySpec.of("channel:noise", std=0.1)), []
+    env.reset(seed=0)
+
+    def record(frame, event, _):
+        path = Path(frame.f_code.co_filename)
+        if event == "call" and path.is_relative_to(PACKAGE):
+            calls.append((path.relative_to(PACKAGE).as_posix(), frame.f_code.co_name))
+
+    actions = {agent: np.zeros(env.action_space(agent).shape, np.float32) for agent in env.agents}
+    sys.setprofile(record)
+    try:
+        env.step(actions)
+    finally:
+        sys.setprofile(None)
+    rows = table(ARCHITECTURE, "Stop")
+    cells = [re.findall(r"`(.*?)`", where) for _, where, _ in rows]
+    stops = [(file, name) for file, *names in cells for name in names]
+    assert len(rows) == 10
+    assert stops.pop() == calls[0]
+    walk = iter(calls)
+    assert [stop for stop in stops if stop not in walk] == []
 
 
 def test_files_and_objects_of_the_paper_map_exist():
