@@ -320,6 +320,20 @@ def test_delays_are_uniform_and_messages_overtake_each_other():
     assert constant[:, 0, 0, 0].tolist() == [0, 0, 0, 1, 2, 3, 4, 5, 6, 7]
 
 
+def test_a_loss_that_never_happens_changes_nothing_for_the_stages_after_it():
+    """A link that is down sends nothing, so no copy of an earlier message enters a delay."""
+    generator = np.random.default_rng(3)
+    live = generator.random((25, 2, 5, 6)) < 0.5
+    sequence = [Messages(np.full((2, 5, 5, 6), float(k)), up, up.astype(float)) for k, up in enumerate(live)]
+    delay, nothing = channel_part("Delay", steps=0, longest=3).build(), channel_part("AdditiveNoise", std=0.0).build()
+    without = transmit(Chain([nothing, delay]), 25, sequence.__getitem__, 6)
+    for kind in (channel_part("Loss", probability=0.0), channel_part("BurstLoss", to_bad=1e-12, to_good=1.0)):
+        behind = transmit(Chain([kind.build(), delay]), 25, sequence.__getitem__, 6)
+        for plain, other in zip(without, behind, strict=True):
+            assert np.array_equal(plain.live, other.live)
+            assert np.array_equal(plain.values * plain.live[:, None], other.values * other.live[:, None])
+
+
 @pytest.mark.parametrize("name", CHANNELS)
 def test_values_on_a_down_link_have_no_effect(name):
     channel, generator = build(name), np.random.default_rng(1)

@@ -26,6 +26,14 @@ def test_inverse_and_derivative_agree_with_the_transformation(transformation, s)
     )
 
 
+@pytest.mark.parametrize("kind", TRANSFORMATIONS)
+def test_short_times_keep_their_digits(kind):
+    """λ(s) = T s + O(s²) near 0, to the last bits of a float."""
+    s = np.array([1e-17, 1e-13])
+    assert kind(1.2).time(s) == pytest.approx(1.2 * s, rel=1e-12)
+    assert kind(1.2).inverse(1.2 * s) == pytest.approx(s, rel=1e-12)
+
+
 @pytest.mark.parametrize("deadline", [0.5, 1.2, 30.0])
 @pytest.mark.parametrize("fraction", [0.0, 0.3, 0.9, 0.9999])
 def test_gain_has_its_closed_form(deadline, fraction):

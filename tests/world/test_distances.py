@@ -69,3 +69,12 @@ def test_batch_equals_single_environments_bit_for_bit(players, drawn):
             assert np.array_equal(measure(alone, game)[..., 0], measure(estimates, games)[..., b])
         together = distances.strategy_distance(strategies, games)[b]
         assert distances.strategy_distance(own, game)[0] == together
+
+
+@pytest.mark.parametrize("factor", [0.999, 1.001])
+def test_success_is_judged_by_all_estimates_together(factor):
+    """A player alone may be √N times as far away as all together; the order of players and environments is free."""
+    limit = factor * distances.SUCCESS_DISTANCE
+    alone = np.array([[math.sqrt(5) * limit, 0, 0, 0, 0], [0, 0, 0, 0, math.sqrt(5) * limit], [limit] * 5])
+    for batch in (alone.T, alone[:1].T):
+        assert distances.is_success(batch).tolist() == [factor < 1] * batch.shape[1]
