@@ -118,6 +118,7 @@ class JaxWorld:
         """Whether each episode has reached its end or diverged, shape (B,)."""
         return dynamics.is_over(self._world, state)
 
+    @partial(jax.jit, static_argnums=0)
     def restarted(self, key: jax.Array, state: State) -> State:
         """The state, with a new episode in place of each that is over; costs nothing while none is."""
         over = self.is_over(state)

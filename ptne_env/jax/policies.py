@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -20,6 +20,7 @@ from ptne_env.perception.observation import Interface, LayoutError, ObservationL
 from ptne_env.perception.policy import RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array
 from ptne_env.world.dynamics import State
+from ptne_env.world.rewards import Reward
 
 Act = Callable[[Any, jax.Array, Any], tuple[jax.Array, Any]]
 """``act(params, observation, memory) -> (action, memory)`` of one player: (size,) to (n,)."""
@@ -104,6 +105,8 @@ def rollout(
 ) -> JaxRollout:
     """Run a policy through whole episodes: every player decides, all inputs are held for a step, and again.
 
+    It is compiled once for a world, a function ``act`` and the other arguments that are no arrays.
+
     Args:
         world: with the interface of the policy.
         policy: decides for all players.
@@ -118,7 +121,20 @@ def rollout(
     """
     if policy.interface != world.layout.interface:
         raise LayoutError(f"the policy acts through {policy.interface}, and the world has {world.layout.interface}")
-    policy = policy.with_layout(world.layout)
+    weights = tuple(Reward(world.numpy, reward).weights.items())
+    return _run(world, policy.with_layout(world.layout), key, num_envs, steps, weights, memory)
+
+
+@partial(jax.jit, static_argnames=("world", "num_envs", "steps", "weights"))
+def _run(
+    world: JaxWorld,
+    policy: JaxPolicy,
+    key: jax.Array | State,
+    num_envs: int,
+    steps: int | None,
+    weights: tuple[tuple[str, float], ...],
+    memory: Any,
+) -> JaxRollout:
     of_player = jax.vmap(policy.act, in_axes=(None, -1, -1), out_axes=-1)
     of_all = jax.vmap(of_player, in_axes=(None, -1, -1), out_axes=-1)
 
@@ -126,7 +142,7 @@ def rollout(
         state, memory = carry
         actions, memory = of_all(policy.params, world.observe(state), memory)
         after = world.step(state, world.inputs(state, actions))
-        return (after, memory), (world.rewards(state, after, reward), world.digits(after))
+        return (after, memory), (world.rewards(state, after, dict(weights)), world.digits(after))
 
     state = key if isinstance(key, State) else world.reset(key, num_envs)
     if memory is None:

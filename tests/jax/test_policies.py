@@ -71,6 +71,24 @@ def test_a_memory_starts_afresh_where_an_episode_starts():
     assert policy.predict(rows[0])[0].shape == (1,)
 
 
+def test_nothing_compiles_again_when_it_is_called_again(caplog):
+    world = ptne_env.jax.JaxWorld("random-energy", interface="physical")
+    policy = ptne_env.jax.static(world.layout)
+
+    def call_everything(key):
+        state = world.restarted(key, world.reset(key, 2)._replace(diverged=jnp.array([True, False])))
+        after = world.step(state, world.inputs(state, jnp.ones_like(world.observe(state)[:5])))
+        episodes = ptne_env.jax.rollout(world, policy, key, 2, steps=2, reward={"digits": 2.0})
+        return world.rewards(state, after), world.digits(after), world.is_over(after), episodes
+
+    call_everything(jax.random.key(0))
+    with jax.log_compiles():
+        call_everything(jax.random.key(1))
+        assert not caplog.records
+        jax.jit(lambda number: number + 1)(1)
+    assert caplog.records  # compilations would have been seen
+
+
 def test_a_policy_is_refused_by_a_world_that_it_was_not_made_for():
     world = ptne_env.jax.JaxWorld("energy", interface="physical")
     for policy in (
