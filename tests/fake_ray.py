@@ -44,5 +44,5 @@ def get(task):
     raise RayError("the node died")
 
 
-def remote(num_cpus, max_retries):
+def remote(num_cpus, max_retries, runtime_env=None):
     return lambda function: SimpleNamespace(remote=lambda *arguments: (function, arguments, max_retries))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import sys
 import tempfile
 import threading
 import time
@@ -31,7 +32,8 @@ _LOST = "a worker process died, often for lack of memory (fewer jobs need less);
 class Workers:
     """Processes that run tasks; the results do not depend on their number or place.
 
-    Processes on this machine end with this process, even if it is killed, and leave Ctrl-C to it.
+    Processes on this machine end with this process, even if it is killed, and leave Ctrl-C to it. All compute with
+    64-bit numbers of JAX where this process does.
 
     Attributes:
         jobs: the number of tasks at a time; −1 for one per core. A cluster runs one per core of its own.
@@ -82,8 +84,8 @@ def _on_processes(
         return_as="generator_unordered",
         batch_size=1,
         backend="loky",
-        initializer=_end_with_parent,
-        initargs=(os.getpid(),),
+        initializer=_begin,
+        initargs=(os.getpid(), _settings_of_jax()),  # other ones start other processes
         max_nbytes=None,  # joblib makes no folders for large arrays then, which stay behind when processes are killed
         temp_folder=tempfile.gettempdir(),
     )
@@ -105,12 +107,19 @@ def _on_processes(
         ) from error
 
 
-def _end_with_parent(parent: int) -> None:
-    """End this new process soon after its parent, given by id, is gone, and leave Ctrl-C to the parent.
+def _settings_of_jax() -> dict[str, str]:
+    """Return the environment variable that makes another process compute with JAX's numbers of this one."""
+    jax = sys.modules.get("jax")
+    return {} if jax is None else {"JAX_ENABLE_X64": str(jax.config.jax_enable_x64)}
+
+
+def _begin(parent: int, variables: dict[str, str]) -> None:
+    """Prepare this new process: it ends soon after its parent, given by id, is gone, and leaves Ctrl-C to it.
 
     A parent that is killed cannot end its processes itself. On Windows the parent's id does not change, so this process
     stays.
     """
+    os.environ.update(variables)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
@@ -158,7 +167,8 @@ def _on_cluster(
     if not ray.is_initialized():
         _require_answer(address)
         ray.init(address=address, log_to_driver=False, logging_level="error")
-    remote = ray.remote(num_cpus=1, max_retries=RETRIES)(_call_with_index)
+    environment = {"runtime_env": {"env_vars": variables}} if (variables := _settings_of_jax()) else {}
+    remote = ray.remote(num_cpus=1, max_retries=RETRIES, **environment)(_call_with_index)
     running = [remote.remote(index, function, task) for index, task in enumerate(tasks)]
     try:
         while running:

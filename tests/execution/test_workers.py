@@ -7,6 +7,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from affine_games import SOAK
@@ -37,6 +38,10 @@ def stay(number):
     return number, os.getpid()
 
 
+def read_variable(name):
+    return os.environ.get(name)
+
+
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_result_comes_with_the_index_of_its_task(jobs):
     assert dict(Workers(jobs).run(square, [(3,), (4,), (5,)])) == {0: 9, 1: 16, 2: 25}
@@ -55,6 +60,14 @@ def test_a_caller_that_needs_no_more_results_ends_the_tasks():
     assert next(results) == (0, None)
     results.close()
     assert time.monotonic() - began < 50
+
+
+def test_processes_compute_with_64_bit_numbers_of_jax_where_this_one_does(monkeypatch):
+    config = SimpleNamespace(jax_enable_x64=True)
+    monkeypatch.setitem(sys.modules, "jax", SimpleNamespace(config=config))
+    assert dict(Workers(2).run(read_variable, [("JAX_ENABLE_X64",)])) == {0: "True"}
+    config.jax_enable_x64 = False
+    assert dict(Workers(2).run(read_variable, [("JAX_ENABLE_X64",)])) == {0: "False"}
 
 
 def test_a_dead_process_is_an_error():
