@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 from ptne_env.evaluation.named_policies import NO_LAWS, TABLE
 from ptne_env.evaluation.provenance import file_hash
 from ptne_env.learn.policy_files import FORMATS, find_file, format_of
+from ptne_env.learn.sb3_archive import as_trained, require_one_observation
 from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError, describe
 from ptne_env.shared.arrays import require_flag, require_printable
@@ -131,8 +132,7 @@ class PolicySpec:
         if not hasattr(built, "predict"):
             made = "it is" if built is source else "called with the layout, it returned"
             raise PolicyError(f"{made} a {type(built).__name__} without predict(observation, state, ...)")
-        policy: Policy = built
-        return policy
+        return as_trained(built)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON object with the parameters of every training seed, and the SHA-256 of its file."""
@@ -165,13 +165,8 @@ class PolicySpec:
 def _require_observations_of(layout: ObservationLayout, model: Any) -> None:
     """Refuse a model of Stable-Baselines3 that was trained on other observations than a layout's."""
     expected = getattr(getattr(model, "observation_space", None), "shape", None)
-    acts_for_all = (layout.num_players * layout.action_size,)  # in JointEnv, whatever the interface
-    if expected != (layout.size,) and getattr(getattr(model, "action_space", None), "shape", None) == acts_for_all:
-        raise LayoutError(
-            "it was trained on the joint observation of all players, which no player has; train one policy for "
-            "every player, on ptne_env.envs.sb3.PlayerVecEnv"
-        )
     if expected not in (None, (layout.size,)):
+        require_one_observation(layout, model.observation_space, getattr(model, "action_space", None))
         raise LayoutError(
             f"it was trained on observations of shape {expected}, and this track with "
             f"{layout.interface} has {(layout.size,)}; if it was trained with another interface, give that "

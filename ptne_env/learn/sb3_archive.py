@@ -1,4 +1,4 @@
-"""Policies in Stable-Baselines3 archives (.zip). Loading an archive executes code in it: load only trusted files."""
+"""Models of Stable-Baselines3 as policies. Loading an archive (.zip) executes code in it: load only trusted files."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 
 from ptne_env.perception.fields import LOG_SCALE_UNIT, SMALLEST_SCALE
-from ptne_env.perception.observation import Interface, ObservationLayout
-from ptne_env.perception.policy import NetworkPolicy, PolicyFileError
+from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
+from ptne_env.perception.policy import NetworkPolicy, Policy, PolicyFileError
+from ptne_env.shared.arrays import BoolArray
 from ptne_env.shared.files import require_file
 
 
@@ -27,7 +29,8 @@ def load_archive(path: str, layout: ObservationLayout | None = None) -> NetworkP
     Raises:
         FileNotFoundError: when there is no such file.
         PolicyFileError: when the file is no archive of Stable-Baselines3, or its model is of other environments.
-        LayoutError: when the policy was made for another layout.
+        LayoutError: when the policy was made for another layout, or was trained on normalised observations, whose
+            statistics no archive has.
         ImportError: when Stable-Baselines3 is not installed.
     """
     try:
@@ -52,9 +55,74 @@ def load_archive(path: str, layout: ObservationLayout | None = None) -> NetworkP
     observations, actions = network.observation_space, network.action_space
     if not all(isinstance(space, spaces.Box) and len(space.shape) == 1 for space in (observations, actions)):
         raise PolicyFileError(f"{path} was not trained on one player's observations and actions of ptne_env")
+    _require_raw(observations, data.get("_last_obs"))
     # The only entry of an observation that goes down to this number is the logarithm of the scale.
     is_scaled = np.isclose(observations.low, math.log10(SMALLEST_SCALE) / LOG_SCALE_UNIT).any()
     interface = Interface("scaled" if is_scaled else "physical")
     made_for = {"interface": interface, "size": len(observations.low), "action_size": len(actions.low)}
     policy = NetworkPolicy(network.predict, made_for, Path(path).stem)
-    return policy if layout is None else policy.with_layout(layout)
+    if layout is None:
+        return policy
+    require_one_observation(layout, observations, actions)
+    return policy.with_layout(layout)
+
+
+def as_trained(model: Any) -> Policy:
+    """Return a policy that plays a model as it was trained, with the statistics of its ``VecNormalize``.
+
+    Anything that is no model of Stable-Baselines3 is returned as it is.
+
+    Raises:
+        LayoutError: when the model was trained on normalised observations, and has no statistics of them.
+    """
+    if (normaliser := getattr(model, "get_vec_normalize_env", lambda: None)()) is not None:
+        return _Normalised(model, normaliser)
+    _require_raw(getattr(model, "observation_space", None), getattr(model, "_last_obs", None))
+    policy: Policy = model
+    return policy
+
+
+def require_one_observation(layout: ObservationLayout, observations: Any, actions: Any) -> None:
+    """Check by the spaces of a model that it was not trained on several observations at once.
+
+    Raises:
+        LayoutError: when it was.
+    """
+    size, of_all = getattr(observations, "shape", (0,))[0], (layout.num_players * layout.action_size,)
+    # JointEnv is recognised by its actions, because its interface may be another.
+    if size != layout.size and (getattr(actions, "shape", None) == of_all or (size and size % layout.size == 0)):
+        raise LayoutError(
+            "it was trained on several observations at once, those of all players (JointEnv) or of several steps "
+            "(VecFrameStack), and a player has one: train one policy for every player, on "
+            "ptne_env.envs.sb3.PlayerVecEnv without a stack; what it needs of the past is the state of its predict"
+        )
+
+
+def _require_raw(space: Any, last: Any) -> None:
+    """Refuse a model whose last observations in training, if it has any, are outside of its space of observations."""
+    if last is None or not isinstance(space, spaces.Box) or not ((last < space.low) | (last > space.high)).any():
+        return
+    raise LayoutError(
+        "it was trained on observations that a wrapper changed, such as VecNormalize, whose statistics the model does "
+        "not have; load it with them, and give the model: PPO.load('model.zip', env=VecNormalize.load('statistics.pkl'"
+        ", PlayerVecEnv('random-energy')))"
+    )
+
+
+class _Normalised:
+    """A model behind the statistics of its ``VecNormalize``, which its own ``predict`` leaves to the caller."""
+
+    def __init__(self, model: Any, normaliser: Any) -> None:
+        self._model, self._normaliser = model, normaliser
+
+    def predict(
+        self,
+        observation: npt.NDArray[np.float32],
+        state: Any = None,
+        episode_start: BoolArray | None = None,
+        deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
+    ) -> tuple[Any, Any]:
+        """Return the actions and the state that the model decides on."""
+        rows = self._normaliser.normalize_obs(observation)
+        answer: tuple[Any, Any] = self._model.predict(rows, state, episode_start, deterministic)
+        return answer
