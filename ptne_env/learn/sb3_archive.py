@@ -94,7 +94,7 @@ def require_one_observation(layout: ObservationLayout, observations: Any, action
         raise LayoutError(
             "it was trained on several observations at once, those of all players (JointEnv) or of several steps "
             "(VecFrameStack), and a player has one: train one policy for every player, on "
-            "ptne_env.envs.sb3.PlayerVecEnv without a stack; what it needs of the past is the state of its predict"
+            "PlayerVecEnv without a stack; what it needs of the past is the state of its predict"
         )
 
 
