@@ -6,9 +6,10 @@ And relabelling the players permutes the results: no law prefers a player for it
 import numpy as np
 import pytest
 from affine_games import SOAK
-from worlds import energy_scenario, every_field, fixed_part, make_env, play, world_and_encoder
+from worlds import begin, energy_scenario, every_field, fixed_part, make_env, play, world_and_encoder
 
 from ptne_env import FactorySpec, laws
+from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.fields import FIELDS
 from ptne_env.shared.parts import PARTS, resolve
 from ptne_env.world import dynamics
@@ -127,3 +128,19 @@ def test_relabelling_the_players_permutes_the_results(law, kind):
     assert np.abs(relabelled[:, new][:, :, new] - plain).max() <= 1e-6 * np.abs(plain).max()
     if law != "zero-input":
         assert np.abs(relabelled - plain).max() > 1  # the labels do matter to the arrays
+
+
+@pytest.mark.parametrize("law", RELATIVE)
+def test_a_law_says_the_same_through_both_interfaces(law):
+    """Its inputs have the unit of the observation, also where gains grow with squares of natural units."""
+    world, physical = world_and_encoder("energy")
+    views = [(encoder, LAWS[law](encoder.layout)) for encoder in (physical, Encoder(world, "scaled"))]
+    state, memories = begin(world, [0]), [law.initial_memory(5) for _, law in views]
+    for _ in range(10):
+        inputs = []
+        for index, (encoder, policy) in enumerate(views):
+            observation = encoder.layout.read(encoder.observe(state)[0])
+            answer, memories[index] = policy.inputs(observation, memories[index])
+            inputs.append(answer * observation.unit)
+        np.testing.assert_allclose(inputs[1], inputs[0], rtol=1e-4, atol=1e-4 * np.abs(inputs[0]).max())
+        state = dynamics.step(world, state, inputs[0].T[:, :, None] / 5)
