@@ -65,6 +65,17 @@ def test_a_flat_cost_has_no_best_response():
     assert game.nash_equilibrium == pytest.approx([1.0, 1.0], abs=1e-12)
 
 
+def test_a_cost_that_rounding_alone_bends_has_no_best_response():
+    """A_11 = v vᵀ has rank one, and an inverse in floating point."""
+    direction = np.array([1 / 3, 0.7])
+    matrix = np.eye(3)
+    matrix[:2, :2] = np.outer(direction, direction)
+    matrix[1, 1] *= 1 + 4e-16
+    np.linalg.inv(matrix[:2, :2])
+    game = QuadraticGame(matrix, np.ones(3), action_dims=(2, 1), low=-2.0, high=3.0)
+    assert not game.has_best_response
+
+
 def test_singular_game_has_no_single_equilibrium():
     with pytest.raises(ArithmeticError, match="no single Nash equilibrium"):
         _ = QuadraticGame(np.ones((2, 2)), [1.0, 2.0]).nash_equilibria
