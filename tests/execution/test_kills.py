@@ -9,12 +9,12 @@ from processes import KILLS, kill_at_random_moments, start_python
 
 from ptne_env.evaluation.results import read_results
 
-COMMAND = "compare --suite ptne-v1 nominal liar --policy grounded,adaptive --episodes 5 --no-report --jobs 2 --out"
+COMMAND = "compare --suite ptne-v1 nominal liar --policy grounded,adaptive --episodes 5 --no-report"
 ROUNDS = [KILLS[1::2], KILLS[::2]] if SOAK else [KILLS[:1]]
 
 
-def start(folder):
-    return start_python("-W", "error", "-m", "ptne_env.cli", *COMMAND.split(), folder)
+def start(folder, jobs=2):
+    return start_python("-W", "error", "-m", "ptne_env.cli", *COMMAND.split(), "--jobs", jobs, "--out", folder)
 
 
 def outcome(folder):
@@ -48,6 +48,6 @@ def test_a_command_that_is_killed_goes_on_to_the_results_of_an_undisturbed_one(t
 
 
 def test_two_runs_at_once_on_one_folder_do_not_corrupt_it(tmp_path, undisturbed):
-    for run in [start(tmp_path), start(tmp_path)]:
+    for run in [start(tmp_path, jobs=1), start(tmp_path, jobs=1)]:
         run.finish()
     assert outcome(tmp_path) == undisturbed[0]
