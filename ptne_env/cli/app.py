@@ -11,7 +11,7 @@ from rich.text import Text
 from typer.core import TyperCommand, TyperGroup
 
 from ptne_env._version import __version__
-from ptne_env.cli.console import console, output
+from ptne_env.cli.console import accept_all_characters, console, output
 from ptne_env.shared.files import DamagedFileError
 
 
@@ -82,6 +82,7 @@ def _root(
 
 def main() -> None:
     """Run the command line; docs/usage.md explains the exit codes."""
+    accept_all_characters()
     os.environ["PYTHONSAFEPATH"] = "1"  # processes that it starts do not import modules of the current folder either
     try:
         app(prog_name="ptne")

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import TextIOWrapper
 from json import dumps
 from pathlib import Path
 
@@ -66,6 +67,13 @@ def _printable(text: str) -> str:
         char if char.isprintable() or char in _BLANKS else char.encode("unicode_escape").decode("ascii")
         for char in text
     )
+
+
+def accept_all_characters() -> None:
+    """Let stdout and stderr write a character that their encoding lacks as its code, such as ``\\u03ba``."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def console(*, stderr: bool = False) -> Console:

@@ -23,7 +23,8 @@ def write_atomically(path: Path, content: str | bytes) -> None:
         OSError: naming ``path``, when it cannot be written, as on a full or read-only disk; the old file is untouched
             then.
     """
-    data = content.encode() if isinstance(content, str) else content
+    # Python has the bytes of paths that are not in the encoding of the locale as surrogates.
+    data = content.encode(errors="surrogateescape") if isinstance(content, str) else content
     try:
         if path.exists() and not path.is_file():
             path.write_bytes(data)

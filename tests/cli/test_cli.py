@@ -2,6 +2,7 @@
 
 import csv
 import html
+import io
 import json
 import os
 import pty
@@ -64,6 +65,27 @@ def test_every_command_has_help(command, run):
     assert outcome.code == 0
     assert "Usage" in outcome.out
     assert "<bool>" not in outcome.out  # flags take no value
+
+
+@pytest.mark.parametrize(
+    ("words", "printed"),
+    [
+        ("list", rb"\\u03ba"),
+        ("certify energy", rb"\\u03bb"),
+        ("compare energy --policy static --episodes 2 --out 'out \udcc3\udcbc'", rb"4\.\d\d \\xb1\d"),
+        ("compare energie", b""),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_characters_that_the_output_cannot_encode_are_spelled_out(words, printed, encoding, run, monkeypatch, tmp_path):
+    streams = {name: io.TextIOWrapper(io.BytesIO(), encoding=encoding) for name in ("stdout", "stderr")}
+    for name, stream in streams.items():
+        monkeypatch.setattr(sys, name, stream)
+    assert run(words).code == (0 if printed else 2)
+    if encoding == "ascii":
+        assert re.search(printed, streams["stdout"].buffer.getvalue())
+    if "--out" in words:  # as under LC_ALL=C, where Python has the bytes of a path in another encoding as surrogates
+        assert "out ü" in (tmp_path / "out ü" / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
