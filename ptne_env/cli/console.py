@@ -70,7 +70,7 @@ def _printable(text: str) -> str:
 
 
 def accept_all_characters() -> None:
-    """Let stdout and stderr write a character that their encoding lacks as its code, such as ``\\u03ba``."""
+    r"""Let stdout and stderr write a character that their encoding lacks as its code, such as ``\u03ba``."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

@@ -25,9 +25,9 @@ LARGEST_ARRAY, MOST_OPERATIONS = 1 << 20, 1000
 """The size of the largest array that a network may compute for a row, and the number of its operations."""
 
 OPERATORS = {
-    "Add", "Cast", "Clip", "Concat", "Constant", "Div", "Elu", "Flatten", "Gather", "Gemm", "Identity", "LeakyRelu",
-    "MatMul", "Max", "Min", "Mul", "Relu", "Reshape", "Selu", "Sigmoid", "Slice", "Softplus", "Squeeze", "Sub", "Tanh",
-    "Unsqueeze",
+    "Add", "Cast", "Clip", "Concat", "Constant", "Div", "Elu", "Erf", "Flatten", "Gather", "Gelu", "Gemm", "Identity",
+    "LeakyRelu", "MatMul", "Max", "Min", "Mul", "Relu", "Reshape", "Selu", "Sigmoid", "Slice", "Softplus", "Squeeze",
+    "Sub", "Tanh", "Unsqueeze",
 }  # fmt: skip
 """The operations that a network may have: arithmetic, but no loop, branch, other file or array out of nothing."""
 

@@ -32,7 +32,8 @@ from ptne_env._version import __version__
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import PolicySpec, evaluate
 from ptne_env.learn import load
-from ptne_env.learn.onnx_policy import Metadata, seal
+from ptne_env.learn.onnx_policy import Metadata, open_policy, seal
+from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites import find_scenario
@@ -48,7 +49,8 @@ from ptne_env.world.scenario import Scenario
 
 if TYPE_CHECKING:
     from gymnasium import spaces
-    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.running_mean_std import RunningMeanStd
 
 POLICY = "policy.onnx"
 """The name of the file of the policy."""
@@ -188,47 +190,73 @@ class _Report(BaseCallback):
             self._progress(self.num_timesteps, self._steps, self._evaluation.last_mean_reward)
 
 
-def to_onnx(model: OnPolicyAlgorithm, layout: ObservationLayout, **training: Any) -> bytes:
-    """Export the deterministic actor of a model: the content of a file that :func:`ptne_env.learn.load` reads.
+def to_onnx(model: BaseAlgorithm, layout: ObservationLayout, **training: Any) -> bytes:
+    """Export the deterministic actions of a model: the content of a file that :func:`ptne_env.learn.load` reads.
 
     Args:
-        model: a PPO or A2C with an ``MlpPolicy`` on a flat observation.
+        model: of any algorithm with an ``MlpPolicy``; the statistics of its ``VecNormalize`` become part of the file.
         layout: the layout of the environments in which it was trained.
         **training: how it was trained, for the metadata.
+
+    Raises:
+        ValueError: when the policy cannot be exported, or its file is refused or decides differently from the model.
     """
     content = io.BytesIO()
-    with warnings.catch_warnings():
-        # The other exporter of torch needs a further package and takes half a minute.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        torch.onnx.export(
-            _Actor(model.policy).eval(),
-            (torch.zeros(2, layout.size),),
-            content,  # type: ignore[arg-type]  # this exporter takes open files
-            input_names=["observation"],
-            output_names=["action"],
-            dynamic_axes={"observation": {0: "rows"}, "action": {0: "rows"}},
-            dynamo=False,
-        )
     training |= {"ptne_env": __version__}
     training |= {library.__name__: library.__version__ for library in (stable_baselines3, torch, np)}
     metadata = Metadata(
         interface=layout.interface, action_dims=layout.action_dims, slots=layout.slots, training=training
     )
-    return seal(onnx.load_from_string(content.getvalue()), metadata)
+    rows = np.random.default_rng(0).standard_normal((100, layout.size)).astype(np.float32)
+    try:
+        expected, _ = as_trained(model).predict(rows, deterministic=True)
+        with warnings.catch_warnings():
+            # The other exporter of torch needs a further package and takes half a minute.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            torch.onnx.export(
+                _Actor(model).eval(),
+                (torch.zeros(2, layout.size),),
+                content,  # type: ignore[arg-type]  # this exporter takes open files
+                input_names=["observation"],
+                output_names=["action"],
+                dynamic_axes={"observation": {0: "rows"}, "action": {0: "rows"}},
+                dynamo=False,
+            )
+        exported = seal(onnx.load_from_string(content.getvalue()), metadata)
+        actions, _ = open_policy(Path(POLICY), exported).predict(rows)
+        np.testing.assert_allclose(actions, expected, rtol=1e-4, atol=1e-4 * max(1.0, float(np.abs(expected).max())))
+    except Exception as error:  # of torch, onnx and the policy
+        raise ValueError(
+            f"no file can play this {type(model).__name__} ({error}); evaluate takes the model itself, or its .zip"
+        ) from error
+    return exported
 
 
 class _Actor(nn.Module):
-    """The mean action of a model, clipped to the action box, as its ``predict`` returns it."""
+    """The deterministic actions of a model, scaled or clipped to the action box, as its ``predict`` returns them."""
 
-    def __init__(self, policy: ActorCriticPolicy) -> None:
+    def __init__(self, model: BaseAlgorithm) -> None:
         super().__init__()
-        self.policy = policy
-        box = cast("spaces.Box", policy.action_space)
+        self.policy, self.normaliser = model.policy, model.get_vec_normalize_env()
+        box = cast("spaces.Box", model.action_space)
         self.low, self.high = torch.as_tensor(box.low), torch.as_tensor(box.high)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        features = self.policy.extract_features(observations, self.policy.pi_features_extractor)
-        actions: torch.Tensor = self.policy.action_net(
-            self.policy.mlp_extractor.forward_actor(cast("torch.Tensor", features))
-        )
+        if self.normaliser is not None and self.normaliser.norm_obs:
+            seen = cast("RunningMeanStd", self.normaliser.obs_rms)
+            deviation = np.sqrt(seen.var + self.normaliser.epsilon)
+            observations = (observations - torch.Tensor(seen.mean)) / torch.Tensor(deviation)
+            observations = observations.clamp(-self.normaliser.clip_obs, self.normaliser.clip_obs)
+        # The means: torch would export all that a distribution computes beside them.
+        policy: Any = self.policy
+        if isinstance(policy, ActorCriticPolicy):
+            features: Any = policy.extract_features(observations, policy.pi_features_extractor)
+            actions = policy.action_net(policy.mlp_extractor.forward_actor(features))
+            actions = torch.tanh(actions) if policy.squash_output else actions
+        elif hasattr(policy.actor, "get_action_dist_params"):  # as SAC
+            actions = torch.tanh(policy.actor.get_action_dist_params(observations)[0])
+        else:  # as TD3
+            actions = policy.actor(observations)
+        if policy.squash_output:
+            actions = self.low + 0.5 * (actions + 1) * (self.high - self.low)
         return torch.maximum(torch.minimum(actions, self.high), self.low)

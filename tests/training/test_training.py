@@ -5,6 +5,7 @@ import dataclasses
 import json
 
 import numpy as np
+import onnx
 import pytest
 from affine_games import SOAK
 from extras import need_sb3
@@ -12,11 +13,14 @@ from extras import need_sb3
 torch = need_sb3()
 
 from matplotlib import image
-from stable_baselines3 import A2C, PPO
+from stable_baselines3 import A2C, PPO, SAC, TD3
+from stable_baselines3.common.vec_env import VecNormalize
 
 import ptne_env
 from ptne_env import PolicySpec, learn
 from ptne_env.envs.sb3 import PlayerVecEnv
+from ptne_env.learn.onnx_policy import Metadata, seal
+from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.report.tables import leaders
 from ptne_env.training import configurations, ppo
 from ptne_env.training.configuration import Configuration
@@ -177,10 +181,12 @@ def test_a_start_that_fails_leaves_no_files(change, message, tmp_path):
 
 
 def test_a_policy_that_fails_in_its_validation_is_not_kept(tmp_path, monkeypatch):
-    def broken(model, *arguments, **named):
-        with torch.no_grad():
-            model.policy.action_net.bias.fill_(float("nan"))
-        return to_onnx(model, *arguments, **named)
+    def broken(*arguments, **named):
+        model = onnx.load_from_string(to_onnx(*arguments, **named))
+        metadata = Metadata.from_json(model.metadata_props[0].value)
+        for weights in model.graph.initializer:
+            weights.raw_data = b"\xff" * len(weights.raw_data)  # NaN
+        return seal(model, metadata)
 
     monkeypatch.setattr(ppo, "to_onnx", broken)
     with pytest.raises(ValueError, match="the trained policy fails on 'random-energy': .*finite"):
@@ -188,24 +194,54 @@ def test_a_policy_that_fails_in_its_validation_is_not_kept(tmp_path, monkeypatch
     assert not (tmp_path / "policy.onnx").exists()
 
 
-@pytest.mark.parametrize(("kind", "algorithm"), [("scaled", PPO), ("physical", A2C)])
-def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, algorithm, tmp_path):
+SMALL = {"net_arch": [16, 16]}
+
+
+@pytest.mark.parametrize(
+    ("kind", "algorithm", "arguments"),
+    [
+        ("scaled", PPO, {"policy_kwargs": SMALL}),
+        ("physical", A2C, {"policy_kwargs": SMALL}),
+        ("scaled", PPO, {"use_sde": True, "policy_kwargs": SMALL | {"squash_output": True}}),
+        ("scaled", SAC, {"policy_kwargs": SMALL | {"activation_fn": torch.nn.GELU}, "buffer_size": 1}),
+        ("scaled", TD3, {"policy_kwargs": SMALL, "buffer_size": 1}),
+    ],
+)
+@pytest.mark.parametrize("normalised", [False, True])
+def test_the_exported_policy_acts_like_the_model_over_whole_episodes(kind, algorithm, arguments, normalised, tmp_path):
     env = PlayerVecEnv("random-energy-switching", 2, interface=kind, seed=4)
-    model = algorithm("MlpPolicy", env, seed=1, device="cpu", policy_kwargs={"net_arch": [16, 16]})
+    model = algorithm("MlpPolicy", VecNormalize(env) if normalised else env, seed=1, device="cpu", **arguments)
     with torch.no_grad():  # large weights, so that actions are clipped too
-        for parameter in model.policy.action_net.parameters():
-            parameter.mul_(200.0)
+        for name, parameter in model.policy.named_parameters():
+            parameter.mul_(200.0 if "action_net" in name or ".mu" in name else 1.0)
     path = tmp_path / "policy.onnx"
     path.write_bytes(to_onnx(model, env.layout))
-    policy = learn.load(path, env.layout)
+    nearly = 0.9 if model.policy.squash_output else 1.0  # where tanh limits actions
+    policy, model = learn.load(path, env.layout), as_trained(model)
     observations, clipped = env.reset(), 0
     for _ in range(401 if SOAK else 30):
         expected, _ = model.predict(observations, deterministic=True)
         actions, _ = policy.predict(observations)
         np.testing.assert_allclose(actions, expected, rtol=0, atol=1e-5 * max(np.abs(expected).max(), 1.0))
-        clipped += int((np.abs(actions) == env.layout.action_bound).sum())
+        clipped += int((np.abs(actions) >= nearly * env.layout.action_bound).sum())
         observations, _, _, _ = env.step(actions)
     assert clipped > 0 or kind == "physical"
+
+
+def test_a_model_that_no_file_can_play_is_not_exported(monkeypatch):
+    env = PlayerVecEnv(SCENARIO, 1)
+    foreign = {**SMALL, "activation_fn": torch.nn.Hardswish}
+    with pytest.raises(ValueError, match=r"no file can play this PPO \(.*not allowed: HardSwish\); evaluate takes"):
+        to_onnx(PPO("MlpPolicy", env, policy_kwargs=foreign, device="cpu"), env.layout)
+    model = PPO("MlpPolicy", env, policy_kwargs=SMALL, device="cpu")
+    predict = model.predict
+    monkeypatch.setattr(model, "predict", lambda *given, **named: (predict(*given, **named)[0] + 0.001, None))
+    with pytest.raises(ValueError, match=r"(?s)no file can play this PPO .*Max absolute difference"):
+        to_onnx(model, env.layout)
+    with torch.no_grad():
+        model.policy.action_net.bias.fill_(float("nan"))
+    with pytest.raises(ValueError, match=r"(?s)no file can play this PPO .*nan"):
+        to_onnx(model, env.layout)
 
 
 def test_the_picture_shows_every_run(run, tmp_path):
