@@ -19,9 +19,9 @@ class ExitCode(IntEnum):
     """The exit code for each kind of fault."""
 
     FAILED = 1
-    """A policy failed, numbers of a check differ, or there was an error that no other code stands for."""
-    USAGE = 2
-    """An unknown command, option or name, or a value out of range; typer uses it too."""
+    """A policy or a worker failed, or numbers of a check differ."""
+    ERROR = 2
+    """An unknown command, option or name, a value out of range (typer uses it too), or any error without a code."""
     FILE = 3
     """A file is missing or damaged, or cannot be read or written."""
     LIBRARY = 4
@@ -97,13 +97,13 @@ def main() -> None:
     except DamagedFileError as error:
         _fail(str(error), ExitCode.FILE)
     except ValueError as error:
-        _fail(str(error), ExitCode.USAGE)
+        _fail(str(error), ExitCode.ERROR)
     except ImportError as error:
         _fail(str(error), ExitCode.LIBRARY)
     except Exception as error:  # noqa: BLE001 - the traceback of any error is shown on request only
         message = "\n".join([f"{type(error).__name__}: {error}", *getattr(error, "__notes__", ())])
         hint = "" if output.debug else "\n'ptne --debug' before the command shows where it comes from"
-        _fail(message + hint, ExitCode.FAILED)
+        _fail(message + hint, ExitCode.ERROR)
 
 
 def _fail(message: str, code: ExitCode) -> None:

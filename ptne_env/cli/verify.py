@@ -23,31 +23,41 @@ from ptne_env.shared.parts import foreign_targets
 def verify(
     results: Annotated[Path, typer.Argument(help="The file results.json of a comparison or suite, or its folder.")],
     *,
-    sample: Annotated[
-        int, typer.Option(min=1, help="Number of jobs to run again for every policy; one for references.")
-    ] = SAMPLE,
+    sample: Annotated[int, typer.Option(min=1, help="Number of jobs of every policy that run again.")] = SAMPLE,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0, help="Seed of the fresh episodes and of the choice of jobs.", show_default="unpredictable, and shown"
+        ),
+    ] = None,
     trust: options.TrustOption = False,
     json: options.JsonOption = None,
 ) -> None:
     """Rebuild all tables of published results from their samples, and run some jobs of every policy again.
 
-    On a machine with the same arithmetic every number must repeat; on another one rounding differs, and the intervals
-    of every metric must overlap.
+    On a machine with the same arithmetic every number must repeat; on another one rounding differs, and the differences
+    in the same episodes must be those of chance. Policies that do not ship also play fresh episodes, on which they may
+    not have fewer digits than chance explains.
 
-    The exit code is 0 when everything agrees, and 1 when something differs.
+    The exit code is 0 when everything agrees, and 1 when something differs. Where nothing could be compared, it is
+    another one: 2 for wrong usage or an error of the program, 3 for a file that is missing, damaged or unreadable.
     """
     check_writable(json)
     trust = options.require_trust(foreign_targets(read_results(results)), trust=trust)
     with progress("verifying") as advance:
         outcome = run_verification(
-            results, sample=sample, trust=trust, progress=lambda job, total: advance(total=total, description=job)
+            results,
+            sample=sample,
+            seed=seed,
+            trust=trust,
+            progress=lambda job, total: advance(total=total, description=job),
         )
     jobs = [asdict(repetition) for repetition in outcome.repetitions]
-    summary = {"differences": outcome.differences, "jobs": jobs, "of": outcome.jobs}
+    summary = {"differences": outcome.differences, "jobs": jobs, "of": outcome.jobs, "seed": outcome.seed}
     write_json(json, {**summary, "same_arithmetic": outcome.same_arithmetic})
     screen = console()
     for table in verification_tables(outcome):
         screen.print(draw_table(table, screen.width))
-    say(f"{len(jobs)} of {outcome.jobs} jobs were run again")
+    say(f"{len(jobs)} of {outcome.jobs} jobs were run again; --seed {outcome.seed} repeats this verification")
     if not outcome.passes:
         raise typer.Exit(ExitCode.FAILED)

@@ -30,9 +30,6 @@ from ptne_env.shared.names import unknown_name
 FORMAT = 8
 """The version of ``results.json``; a file of another version is refused."""
 
-LARGEST_FILE = 32 * 2**20
-"""Size in bytes above which a file is refused as a file of results."""
-
 _FORMULA = re.compile(r"(^|[,;\t]\s*)([=+\-@\t\r])")
 """What a spreadsheet takes for the beginning of a formula, at the beginning of a text or of a part of it."""
 
@@ -324,8 +321,6 @@ def read_results(path: Path) -> dict[str, Any]:
         ValueError: when it is damaged, too large, something else or of another format.
     """
     path = path / "results.json" if path.is_dir() else path
-    if path.is_file() and path.stat().st_size > LARGEST_FILE:
-        raise ValueError(f"{path} is larger than {LARGEST_FILE // 2**20} MiB: it is no file of results")
     data = read_json(path, "a file of results")
     if data.get("format") != FORMAT:
         raise ValueError(f"{path} is no file of results of format {FORMAT}, which this library reads: run it again")

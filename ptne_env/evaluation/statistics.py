@@ -96,13 +96,36 @@ def _variance_of_mean(values: FloatArray) -> tuple[float, int]:
     return (float(values.var(ddof=1)) / count, count - 1) if count > 1 else (0.0, 0)
 
 
+def _freedom(parts: Sequence[tuple[float, int]]) -> float:
+    """Return the degrees of freedom of a sum of variances with these degrees of freedom, after Satterthwaite."""
+    variance = sum(part for part, _ in parts)
+    return 1 / sum((part / variance) ** 2 / count for part, count in parts if count)  # squares may underflow
+
+
 def _squared_quantile(parts: Sequence[tuple[float, int]]) -> float:
     """Return the square of Student's quantile for a sum of variances with these degrees of freedom; 0 if it is 0."""
+    if not any(part for part, _ in parts):
+        return 0.0
+    return float(special.stdtrit(_freedom(parts), (1 + CONFIDENCE) / 2) ** 2)
+
+
+def chance(excess: float, *samples: FloatArray) -> float:
+    """Return the probability with which chance alone gives such an excess of a mean, or of a difference of two means.
+
+    It is that of Student's one-sided test for one sample, and of Welch's (1947) for two independent ones. Where nothing
+    tells how much a mean varies, it is 1.
+
+    Args:
+        excess: the mean of one sample, or the difference of two.
+        *samples: the sample or samples, shape (episodes,).
+    """
+    if min(values.size for values in samples) < 2:
+        return 1.0
+    parts = [_variance_of_mean(values) for values in samples]
     variance = sum(part for part, _ in parts)
     if variance == 0:
-        return 0.0
-    freedom = 1 / sum((part / variance) ** 2 / count for part, count in parts if count)  # squares may underflow
-    return float(special.stdtrit(freedom, (1 + CONFIDENCE) / 2) ** 2)
+        return float(excess <= 0)
+    return float(special.stdtr(_freedom(parts), -excess / variance**0.5))
 
 
 def tail_values(samples: FloatArray) -> FloatArray:

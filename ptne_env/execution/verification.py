@@ -1,34 +1,38 @@
-"""Verification of published results: their tables are rebuilt, and some of their jobs run again."""
+"""Verification of published results: they follow from their samples, jobs repeat, and fresh episodes give no less."""
 
 from __future__ import annotations
 
+import json
+import secrets
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ptne_env.evaluation.comparison import Job, JobResult
+from ptne_env.evaluation.comparison import Job
+from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.metrics import METRICS
 from ptne_env.evaluation.policy_spec import POLICIES
-from ptne_env.evaluation.provenance import arithmetic, file_hash, versions
-from ptne_env.evaluation.results import Results, read_results
-from ptne_env.evaluation.statistics import estimate
+from ptne_env.evaluation.provenance import arithmetic, file_hash, unequal, versions
+from ptne_env.evaluation.results import SHOWN, Place, Results, read_results
+from ptne_env.evaluation.statistics import chance
 from ptne_env.learn.policy_files import DATA
 from ptne_env.shared.arrays import FloatArray, require_count
 from ptne_env.shared.parts import foreign_targets
-from ptne_env.suites.suite import REFERENCES, SUITES, get_suite
+from ptne_env.suites.suite import REFERENCES, SUITES, Suite, get_suite
 
 SAMPLE = 2
-"""Number of jobs of every policy that run again; one of a reference policy."""
+"""Number of jobs of every policy that run again."""
 
 ROUNDING = 1e-6
-"""Largest |new − old|/(1 + |old|) with which a value repeats, because values are rounded to seven decimals."""
+"""Largest |new − old|/(1e-9 + |old|) with which a value repeats, because values are rounded to seven decimals."""
 
-_SUMS = 1e-9
-"""Largest such difference of numbers in tables, in which only the order of sums differs."""
+FALSE_ALARM = 1e-3
+"""Probability with which chance makes honest results fail the tests of all jobs against fresh episodes."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +43,10 @@ class Repetition:
         track: the name of the track.
         policy: the name of the policy.
         training_seed: the index of the training seed.
-        difference: the largest |new − old|/(1 + |old|) of any value; ``None`` where only one of the runs has a value.
-        agrees: whether the numbers repeat, or with another arithmetic, whether the 95 % intervals of all metrics
-            overlap.
-        reason: why the new run has no numbers; ``None`` where it has them.
+        difference: the largest |new − old|/(1e-9 + |old|) of any value; ``None`` where only one run has a value.
+        agrees: whether the numbers repeat, and those of fresh episodes are not lower than chance explains.
+        reason: why a run has no numbers, or which numbers of fresh episodes are lower; ``None`` otherwise.
+        fresh: the mean digits of fresh episodes; ``None`` where none were played, as by a policy that ships.
     """
 
     track: str
@@ -51,6 +55,7 @@ class Repetition:
     difference: float | None
     agrees: bool
     reason: str | None = None
+    fresh: float | None = None
 
 
 @dataclass(frozen=True)
@@ -58,22 +63,24 @@ class Verification:
     """The outcome of a verification.
 
     Attributes:
-        differences: a text for each fault of the tables and samples.
+        differences: a text for each fault of the file. If there is one, no job runs again.
         repetitions: the jobs that were run again.
         jobs: the number of jobs in the results.
         same_arithmetic: whether this machine has the processor's extensions, the BLAS kernels and the versions of
             libraries with which the results were computed. Otherwise rounding differs, and jobs are judged by
-            statistics.
+            statistics of the differences in each episode.
+        seed: the seed of the choice of jobs and of the fresh episodes.
     """
 
     differences: tuple[str, ...]
     repetitions: tuple[Repetition, ...]
     jobs: int
     same_arithmetic: bool
+    seed: int
 
     @property
     def passes(self) -> bool:
-        """Whether the tables follow from the samples, and all repeated jobs agree."""
+        """Whether the file has no fault, and all repeated jobs agree."""
         return not self.differences and all(repetition.agrees for repetition in self.repetitions)
 
 
@@ -85,174 +92,172 @@ def verify(
     trust: bool = False,
     progress: Callable[[str, int], None] | None = None,
 ) -> Verification:
-    """Rebuild the tables of published results from their samples, and run some of their jobs again.
+    """Build published results again from their samples, run some of their jobs again, and play fresh episodes.
 
-    The decisions in these jobs are audited thoroughly.
+    The decisions in these jobs are audited thoroughly. Where a policy does not ship, its jobs also play as many fresh
+    episodes, which it cannot have seen. Published digits, and those on the way, must not be higher than chance explains
+    (Welch's one-sided tests, Bonferroni's correction, :data:`FALSE_ALARM`).
 
     Args:
         path: the path of a file ``results.json``, or of its folder. The files of policies are found by their SHA-256 in
             the folder, or at the paths that the results name.
-        sample: the number of jobs of every policy that run again; one of a reference policy.
-        seed: the seed of the choice of jobs; unpredictable if left out.
+        sample: the number of jobs of every policy that run again.
+        seed: the seed of the choice of jobs and of fresh episodes, not that of the results; unpredictable if left out.
         trust: whether code from outside the library that the results name may run.
         progress: called when a job is done, with ``"track: policy"`` and the number of jobs to run.
 
     Raises:
         OSError: when there are no results, or a file of a policy is missing.
-        ValueError: when the file is damaged, too large or of another kind, when the results name code from outside the
-            library and ``trust`` is not set, or when a policy was an object of another process.
+        ValueError: when the file is damaged, too large or of another kind, when it names code from outside the library
+            and ``trust`` is not set, when a policy was an object of another process, or for the seed of the results.
     """
     require_count("sample", sample, 1)
+    seed = EpisodeSet(1, secrets.randbelow(1 << 32) if seed is None else seed).seed  # which checks it
     data = read_results(path)
     if not trust and (foreign := foreign_targets(data)):
         raise ValueError(
             f"{path} names code from outside the library, which a verification runs: {', '.join(foreign)}. Say that "
             "you trust it (--trust)"
         )
-    folder = path if path.is_dir() else path.parent
-    data = {**data, "policies": [_locate_files(policy, folder) for policy in data["policies"]]}
+    _locate_files(data, path if path.is_dir() else path.parent)
     results = Results.from_dict(data)
-    differences = [*_differences_of_rules(results, data), *_differences_of_samples(results)]
-    if not differences:
-        differences = list(_differences_of_tables(results, data))
+    if seed in {episodes.seed for episodes in results.episode_sets.values()}:
+        raise ValueError(f"the results have the seed {seed}: fresh episodes need another one")
     same = data["arithmetic"] == arithmetic() and data["versions"] == versions(data["versions"])
-    sampled, jobs = _sample_jobs(results, sample, np.random.default_rng(seed))
+    total = sum(len(spec.training_seeds) for spec in results.policies.values()) * len(results.tracks)
+    if faults := [*_faults_of_samples(results)] or [*_faults_of_content(results, data)]:
+        return Verification(tuple(faults), (), total, same, seed)
+    generator, sampled = np.random.default_rng(seed), []
+    for spec in results.policies.values():
+        pairs = [*product(results.tracks, range(len(spec.training_seeds)))]
+        for index in sorted(generator.permutation(len(pairs))[:sample]):
+            track, training_seed = pairs[index]
+            sampled.append(Job(track, spec, training_seed, results.episode_sets[track.name]))
+    level = FALSE_ALARM / (len(sampled) * len(METRICS))
     repetitions = []
     for job in sampled:
-        repetitions.append(_repeat(results, job, same_arithmetic=same))
+        repetitions.append(_repeat(results, job, seed, level, same_arithmetic=same))
         if progress is not None:
             progress(f"{job.track.name}: {job.policy.name}", len(sampled))
-    return Verification(tuple(differences), tuple(repetitions), jobs, same)
+    return Verification((), tuple(repetitions), total, same, seed)
 
 
-def _locate_files(policy: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the policy with the paths of the same files in the folder of the results, where there are such files."""
+def _locate_files(data: dict[str, Any], folder: Path) -> None:
+    """Change the paths of files of policies to those of the same files in a folder, where there are such files."""
     here = {file_hash(file): str(file) for file in folder.rglob("*") if file.suffix in DATA.endings}
-    seeds = []
-    for seed in policy["training_seeds"]:
-        if seed.get("target") == DATA.target and seed["sha256"] in here:
-            seed = {**seed, "arguments": {**seed["arguments"], DATA.argument: here[seed["sha256"]]}}  # noqa: PLW2901
-        seeds.append(seed)
-    return {**policy, "training_seeds": seeds}
+    try:
+        for source in [source for policy in data["policies"] for source in policy["training_seeds"]]:
+            arguments = source.get("arguments")
+            if source.get("target") == DATA.target and Path(arguments[DATA.argument]).suffix:  # no shipped one
+                arguments[DATA.argument] = here.get(source["sha256"], arguments[DATA.argument])
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"not results: {type(error).__name__}: {error}") from error
 
 
-def _differences_of_rules(results: Results, data: Mapping[str, Any]) -> Iterator[str]:
-    """Yield where the files of policies, or the rules of a published suite, differ from ours."""
-    for spec, published in zip(results.policies.values(), data["policies"], strict=True):
-        hashes = [[seed.get("sha256") for seed in policy["training_seeds"]] for policy in (spec.to_dict(), published)]
-        if hashes[0] != hashes[1]:
-            yield f"the files of policy {spec.name} are not those that were run"
-        if spec.name in REFERENCES and spec != POLICIES[spec.name]:
-            yield f"policy {spec.name} is not the reference policy of this name"
-    if results.target is None or results.target not in SUITES:
+def _faults_of_samples(results: Results) -> Iterator[str]:
+    """Yield where numbers are missing, belong to nothing that is listed, or could not come from a run."""
+    tracks = [track.name for track in results.tracks]
+    listed = {*product(tracks, results.policies)}
+    if not listed:
+        yield "no track or no policy is listed"
+    if len(set(tracks)) < len(tracks) or results.episodes.keys() != set(tracks):
+        yield f"the tracks are {', '.join(tracks)}, but there are episodes of {', '.join(results.episodes)}"
         return
-    suite = get_suite(results.target)
-    for name in set(REFERENCES) - results.policies.keys():
-        yield f"the reference policy {name} is missing"
-    for track in results.tracks:
-        count = results.episodes[track.name]
-        if track not in suite.tracks:
-            yield f"track {track.name} is not that of {suite.name}"
-        elif results.episode_sets[track.name] != suite.episode_set(track.name, count, seed=results.seed):
-            yield f"the episodes of track {track.name} are not those of {suite.name}"
+    reasons = results.not_applicable | results.failures
+    counts = Counter([*results.samples, *results.not_applicable, *results.failures])
+    for place in sorted(listed | counts.keys()):
+        at = f"{place[1]} on {place[0]}"
+        if counts[place] != (place in listed):
+            yield f"{at} has {counts[place]} results; each listed policy has one on each track, and no other one"
+        elif place in results.samples:
+            yield from _faults_of_values(results, place, at)
+        elif not (isinstance(reasons[place], str) and reasons[place]):
+            yield f"{at} has no numbers and no reason"
 
 
-def _differences_of_samples(results: Results) -> Iterator[str]:
-    """Yield where samples are missing, or could not come from a run."""
-    names = {name for name, metric in METRICS.items() if metric.value is not None}
-    for track in results.tracks:
-        for policy, spec in results.policies.items():
-            place, shape = (track.name, policy), (len(spec.training_seeds), results.episodes[track.name])
-            kinds = (results.samples, results.not_applicable, results.failures)
-            if sum(place in kind for kind in kinds) != 1:
-                yield f"{policy} on {track.name} has no result, or more than one"
-                continue
-            samples = results.samples.get(place, {})
-            if place in results.samples and samples.keys() != names:
-                yield f"{policy} on {track.name} has other metrics than a run gives"
-            for metric, values in samples.items():
-                if values.shape != shape:
-                    yield f"{metric} of {policy} on {track.name} has the shape {values.shape}, expected {shape}"
-                elif metric in METRICS and not METRICS[metric].admits(values):
-                    yield f"{metric} of {policy} on {track.name} is outside its range {METRICS[metric].range}"
+def _faults_of_values(results: Results, place: Place, at: str) -> Iterator[str]:
+    """Yield where the samples of a policy on a track have another form or range than those of a run."""
+    samples = results.samples[place]
+    measured = {name for name, metric in METRICS.items() if metric.value is not None}
+    shape = (len(results.policies[place[1]].training_seeds), results.episodes[place[0]])
+    if samples.keys() != measured:
+        yield f"{at} has other metrics than a run gives: {', '.join(sorted(samples.keys() ^ measured))}"
+    for metric in samples.keys() & measured:
+        values = samples[metric]
+        if values.shape != shape:
+            yield f"{metric} of {at} has the shape {values.shape}, expected {shape}"
+        elif not METRICS[metric].admits(values) or (metric in SHOWN and np.isnan(values).any()):
+            yield f"{metric} of {at} is outside its range {METRICS[metric].range}"
 
 
-def _differences_of_tables(results: Results, data: Mapping[str, Any]) -> Iterator[str]:
-    """Yield where a record does not follow from the samples."""
-    rebuilt = {_name(record): record for record in results.records if not METRICS[record["metric"]].is_timing}
-    published = {_name(record): record for record in data["records"]}
-    for name in rebuilt.keys() | published.keys():
-        mine, theirs = rebuilt.get(name), published.get(name)
-        if mine is None or theirs is None or len(published) != len(data["records"]):
-            yield f"the record of {name} is missing, or there are too many"
-        elif mine.keys() != theirs.keys() or not all(_is_same(theirs[key], mine[key]) for key in mine):
-            yield f"the record of {name} is {theirs}, the samples give {mine}"
+def _faults_of_content(results: Results, data: Mapping[str, Any]) -> Iterator[str]:
+    """Yield where the file is not what its samples, the files of its policies, and published names give."""
+    names = [name for name in SUITES if name in (results.name, results.target)]
+    usual = max((results.episodes[track.name] for track in results.tracks if not track.episodes), default=1)
+    suite = get_suite(names[0]) if names else Suite(results.name, results.tracks, usual)
+    split: Split = "test" if names else results.split
+    episodes = {track.name: suite.episode_set(track.name, seed=results.seed, split=split) for track in suite.tracks}
+    if results.is_comparison and not names:
+        episodes = {name: replace(drawn, track=None) for name, drawn in episodes.items()}
+    expected = results.to_dict() | {
+        "name": suite.name,
+        "suite": names[0] if names else results.target,
+        "tracks": [track.to_dict() for track in suite.tracks],
+        "episodes": {name: asdict(drawn) for name, drawn in episodes.items()},
+        "policies": [POLICIES.get(name, spec).to_dict() for name, spec in results.policies.items()],
+        **{key: data[key] for key in ("checksum", "versions", "arithmetic")},  # the last two choose how jobs are judged
+    }
+    for reference in set(REFERENCES) - results.policies.keys() if names else ():
+        yield f"the reference policy {reference} is missing"
+    yield from unequal(data, json.loads(json.dumps(expected)))
 
 
-def _name(record: Mapping[str, Any]) -> str:
-    return f"{record.get('metric')} of {record.get('policy')} on {record.get('track')}"
-
-
-def _is_same(published: Any, rebuilt: Any) -> bool:
-    if isinstance(rebuilt, float) and isinstance(published, float):
-        return abs(published - rebuilt) <= _SUMS * (1 + abs(rebuilt))
-    return type(published) is type(rebuilt) and bool(published == rebuilt)
-
-
-def _sample_jobs(results: Results, sample: int, generator: np.random.Generator) -> tuple[list[Job], int]:
-    """Return some jobs of every policy, and the number of jobs in the results."""
-    sampled, total = [], 0
-    for spec in results.policies.values():
-        jobs = [
-            Job(track, spec, training_seed, results.episode_sets[track.name])
-            for track in results.tracks
-            for training_seed in range(len(spec.training_seeds))
-        ]
-        count = 1 if spec.name in REFERENCES else sample
-        sampled += [jobs[index] for index in sorted(generator.permutation(len(jobs))[:count])]
-        total += len(jobs)
-    return sampled, total
-
-
-def _repeat(results: Results, job: Job, *, same_arithmetic: bool) -> Repetition:
-    place, new = (job.track.name, job.policy.name), job.compute(thorough=True)
-    repetition = partial(Repetition, *place, job.training_seed, reason=new.not_applicable or new.failure)
-    if place in results.not_applicable:
-        return repetition(difference=0.0, agrees=new.not_applicable is not None)
-    if place in results.failures:  # of several training seeds, another one may have failed
-        return repetition(difference=0.0, agrees=new.failure is not None or len(job.policy.training_seeds) > 1)
+def _repeat(results: Results, job: Job, seed: int, level: float, *, same_arithmetic: bool) -> Repetition:
+    """Run a job again, and with a fresh seed where the policy does not ship; ``level`` is that of every test."""
+    place = job.track.name, job.policy.name
+    repetition = Repetition(*place, job.training_seed, None, agrees=False)
+    if place not in results.samples:  # another training seed may be the reason
+        outcome = "failure" if place in results.failures else "not_applicable"
+        seeds = range(len(job.policy.training_seeds))
+        repeats = (getattr(replace(job, training_seed=index).compute(thorough=True), outcome) for index in seeds)
+        return replace(repetition, difference=0.0, agrees=any(repeats))
+    new = job.compute(thorough=True)
     if not new.samples:
-        return repetition(difference=None, agrees=False)
-    old = {name: values[job.training_seed] for name, values in results.samples.get(place, {}).items()}
-    difference = _difference(old, new)
-    if same_arithmetic:
-        return repetition(difference=difference, agrees=difference is not None and difference <= ROUNDING)
-    agrees = all(_overlap(old[name], new.samples[name]) for name in _comparable_metrics(old))
-    return repetition(difference=difference, agrees=agrees and old.keys() == new.samples.keys())
+        return replace(repetition, reason=new.not_applicable or new.failure)
+    old = {name: values[job.training_seed] for name, values in results.samples[place].items()}
+    pairs = [(values, new.samples[name]) for name, values in old.items() if not METRICS[name].is_timing]
+    values, again = map(np.concatenate, zip(*pairs, strict=True))
+    changes = np.abs(again - values) / (1e-9 + np.abs(values))
+    same_holes = bool((np.isnan(values) == np.isnan(again)).all())
+    difference = float(np.nanmax(changes, initial=0.0)) if same_holes else None
+    exact = difference is not None and difference <= ROUNDING
+    agrees = exact if same_arithmetic else all(_is_rounding(*pair, level) for pair in pairs)
+    repetition = replace(repetition, difference=difference, agrees=agrees)
+    if job.policy.name in POLICIES or not agrees:
+        return repetition
+    fresh = replace(job, episodes=replace(job.episodes, seed=seed)).compute()
+    reasons = [reason for reason in (fresh.not_applicable, fresh.failure) if reason]
+    for name in {"digits", "digits_on_the_way"} & fresh.samples.keys():
+        before, after = old[name], fresh.samples[name]
+        if chance(float(before.mean() - after.mean()), before, after) < level:
+            reasons.append(f"{before.mean():.2f} {METRICS[name].heading} are {after.mean():.2f}")
+    reason = f"with the fresh seed: {', '.join(sorted(reasons))}" if reasons else None
+    digits = float(fresh.samples["digits"].mean()) if fresh.samples else None
+    return replace(repetition, agrees=not reasons, reason=reason, fresh=digits)
 
 
-def _comparable_metrics(samples: Mapping[str, FloatArray]) -> list[str]:
-    """Return the metrics that another run repeats: all but timings."""
-    return [name for name in samples if name in METRICS and not METRICS[name].is_timing]
+def _is_rounding(old: FloatArray, new: FloatArray, level: float) -> bool:
+    """Return whether rounding explains the differences in the same episodes.
 
-
-def _difference(old: Mapping[str, FloatArray], new: JobResult) -> float | None:
-    """Return the largest |new − old|/(1 + |old|); ``None`` where only one of the runs has a value."""
-    largest = 0.0
-    for name in _comparable_metrics(old):
-        mine, theirs = new.samples.get(name), old[name]
-        if mine is None or mine.shape != theirs.shape or (np.isnan(mine) != np.isnan(theirs)).any():
-            return None
-        largest = max(largest, float(np.nanmax(np.abs(mine - theirs) / (1 + np.abs(theirs)), initial=0.0)))
-    return largest
-
-
-def _overlap(old: FloatArray, new: FloatArray) -> bool:
-    """Return whether the 95 % intervals of two means overlap up to rounding; single episodes always do."""
-    if old.size < 2 or old.shape != new.shape:
-        return old.shape == new.shape
-    mine, theirs = estimate([new[None]]), estimate([old[None]])
-    if mine.low is None or theirs.mean is None or theirs.low is None:
-        return (mine.mean is None) == (theirs.mean is None)
-    slack = 1e-3 * (1 + abs(theirs.mean))
-    return mine.low - slack <= theirs.high and theirs.low - slack <= mine.high  # type: ignore[operator]
+    Worlds may amplify it, but most episodes come out more alike than different ones, and the mean difference is one of
+    chance. A single episode may differ by a tenth.
+    """
+    both = np.isfinite(old) & np.isfinite(new)
+    if np.mean(np.isnan(old) != np.isnan(new)) > 0.1 or not both.any():
+        return not (np.isfinite(old) | np.isfinite(new)).any()
+    old, new = old[both], new[both]
+    size = float(np.abs(old).mean())
+    slack, others = 1e-9 + 1e-3 * size, np.abs(new[:, None] - old)[~np.eye(len(old), dtype=bool)]
+    reach = 0.75 * float(np.median(others)) if len(others) else 0.1 * (1 + size)
+    is_typical = bool(np.median(np.abs(new - old)) <= slack + reach)
+    return is_typical and chance(abs(float((new - old).mean())) - slack, new - old) >= level / 2

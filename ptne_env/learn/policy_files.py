@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 from ptne_env.learn import onnx_policy, recurrent
 from ptne_env.learn.recurrent import RecurrentPolicy
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.perception.policy import NetworkPolicy, PolicyFileError
-from ptne_env.shared.files import require_file
+from ptne_env.perception.policy import NetworkPolicy
+from ptne_env.shared.files import read_file
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import FactorySpec
 
@@ -86,17 +86,15 @@ def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> N
     Raises:
         ValueError: for an unknown name.
         FileNotFoundError: when there is no such file.
-        PolicyFileError: when the file is damaged, foreign, too large or of another version, refers to other files, or
-            has operations that are not in :data:`ptne_env.learn.onnx_policy.OPERATORS`.
+        DamagedFileError: when the file is too large or no regular file.
+        PolicyFileError: when the file is damaged, foreign or of another version, refers to other files, or has
+            operations that are not in :data:`ptne_env.learn.onnx_policy.OPERATORS`.
         LayoutError: when the policy was made for another layout.
         ImportError: without onnx and onnxruntime, which ``.onnx`` files need, naming the extra to install.
     """
     path = find_file(path_or_name)
     if path.suffix not in DATA.endings:
         path = shipped_path(str(path_or_name))  # which says what there is
-    require_file(path)
-    if path.stat().st_size > LARGEST_FILE:
-        raise PolicyFileError(f"{path} has more than {LARGEST_FILE >> 20} MiB")
     open_policy = onnx_policy.open_policy if path.suffix == ".onnx" else recurrent.open_policy
-    policy: NetworkPolicy | RecurrentPolicy = open_policy(path, path.read_bytes())
+    policy: NetworkPolicy | RecurrentPolicy = open_policy(path, read_file(path, LARGEST_FILE))
     return policy if layout is None else policy.with_layout(layout)

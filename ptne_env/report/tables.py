@@ -393,24 +393,27 @@ def verification_tables(verification: Verification) -> tuple[Table, Table]:
         "Tables rebuilt from the samples",
         "",
         ("verdict", ""),
-        ((str(index), *texts) for index, texts in enumerate(shown or [("agree", "every number follows")], 1)),
+        ((str(index), *texts) for index, texts in enumerate(shown or [("agree", "everything follows")], 1)),
     )
     rows = (
         (
             f"{job.track}: {job.policy}" + f", training seed {job.training_seed}" * (job.training_seed > 0),
             _verdict(job, same_arithmetic=verification.same_arithmetic),
             number(job.difference),
+            number(job.fresh),
             job.reason or "",
         )
         for job in verification.repetitions
     )
     title = f"{len(verification.repetitions)} of {verification.jobs} jobs were run again"
-    note = "The processor, BLAS or libraries differ, so rounding does too, and jobs agree where intervals overlap."
+    note = "The processor, BLAS or libraries differ, so rounding does too, and jobs agree up to chance."
     notes = () if verification.same_arithmetic else (note,)
-    return rebuilt, text_table(title, "job", ("verdict", "largest difference", "reason"), rows, notes)
+    return rebuilt, text_table(
+        title, "job", ("verdict", "largest difference", "digits with fresh seed", "reason"), rows, notes
+    )
 
 
 def _verdict(repetition: Repetition, *, same_arithmetic: bool) -> str:
     if not repetition.agrees:
         return "differs" if repetition.reason is None else "fails"
-    return "reproduces" if same_arithmetic else "agrees within its intervals"
+    return "reproduces" if same_arithmetic else "agrees up to chance"

@@ -8,6 +8,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+LARGEST_FILE = 32 << 20
+"""Size in bytes above which a file is refused, unless its kind has a limit of its own."""
+
 
 class DamagedFileError(ValueError):
     """A file that is cut off, damaged or something else than expected."""
@@ -52,16 +55,38 @@ def _replace(path: Path, data: bytes) -> None:
 
 
 def require_file(path: str | Path) -> None:
-    """Check that there is a file to read; a link to a file, a pipe or a device is one.
+    """Check that there is a regular file to read, or a link to one; a pipe or a device may never end.
 
     Raises:
         FileNotFoundError: when there is nothing at ``path``.
         IsADirectoryError: when there is a folder.
+        DamagedFileError: when there is a pipe or a device.
     """
     if os.path.isdir(path):  # noqa: PTH112 - Path.is_dir raises where a name is too long
         raise IsADirectoryError(f"{str(path)!r} is a folder: name a file")
     if not os.path.exists(path):  # noqa: PTH110 - likewise
         raise FileNotFoundError(f"there is no file {str(path)!r}")
+    if not os.path.isfile(path):  # noqa: PTH113 - likewise
+        raise DamagedFileError(f"{str(path)!r} is a pipe or a device: name a regular file")
+
+
+def read_file(path: Path, largest: int = LARGEST_FILE) -> bytes:
+    """Return the content of a regular file.
+
+    Args:
+        path: of the file.
+        largest: the largest number of bytes; no more are read.
+
+    Raises:
+        OSError: as :func:`require_file`, or when the file cannot be read.
+        DamagedFileError: naming ``path``, when it is no regular file, or larger.
+    """
+    require_file(path)
+    with path.open("rb") as file:
+        content = file.read(largest + 1)
+    if len(content) > largest:
+        raise DamagedFileError(f"{path} has more than {largest >> 20} MiB")
+    return content
 
 
 def read_json(path: Path, kind: str) -> dict[str, Any]:
@@ -72,12 +97,10 @@ def read_json(path: Path, kind: str) -> dict[str, Any]:
         kind: of file, for the message, such as "a file of results".
 
     Raises:
-        OSError: when there is no such file, or it cannot be read.
+        OSError, DamagedFileError: as :func:`read_file`.
         DamagedFileError: naming ``path``, when it holds no JSON object, or part of one.
     """
-    if path.exists() and not path.is_file():  # a pipe or a device may never end
-        raise DamagedFileError(f"{path} is not {kind}: it is no file")
-    data = path.read_bytes()
+    data = read_file(path)
     try:
         value = json.loads(data, parse_constant=_refuse)
     except (ValueError, RecursionError) as error:

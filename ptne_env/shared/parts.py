@@ -138,7 +138,7 @@ def resolve(target: str) -> Any:
         raise ValueError(f"a part is named by an id such as 'law:static' or by 'module:object', got {target!r}")
     try:
         module = importlib.import_module(module_name)
-    except (ImportError, TypeError) as error:  # a relative name is a TypeError
+    except (ImportError, TypeError, SystemExit) as error:  # a relative name is a TypeError
         alike = [name.partition(":")[2] for name in PARTS if name.startswith(f"{module_name}:")]
         if alike:
             raise ValueError(unknown_name(module_name, attribute, alike)) from error

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ptne_env.shared.arrays import require_count, require_positive, require_printable, require_probability
-from ptne_env.shared.files import DamagedFileError, read_json, require_file, write_atomically
+from ptne_env.shared.files import DamagedFileError, read_file, read_json, write_atomically
 from ptne_env.shared.names import unknown_name
 from ptne_env.suites.suite import world_names
 from ptne_env.training import CONFIGURATIONS, configurations
@@ -97,9 +97,9 @@ def _read_values(name: str) -> dict[str, Any]:
                 return {"scenario": name}
             raise ValueError(unknown_name("configuration", name, [*configurations(), *world_names()], "a .toml file"))
         path = CONFIGURATIONS / f"{name}.toml"
-    require_file(path)
+    content = read_file(path)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(content.decode())
     except ValueError as error:
         raise DamagedFileError(f"{path} is not a TOML file: {error}") from error
 

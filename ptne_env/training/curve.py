@@ -11,7 +11,7 @@ import numpy as np
 from ptne_env.evaluation import COMPARED, METRICS, POLICIES, Results, evaluate
 from ptne_env.report.tables import leaders
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.shared.files import write_atomically
+from ptne_env.shared.files import read_file, write_atomically
 from ptne_env.shared.style import COLOURS, INK, drawing
 from ptne_env.world.scenario import Scenario
 
@@ -26,7 +26,7 @@ def read_learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
     if not path.exists():
         return np.empty(0), np.empty(0)
     try:
-        with np.load(path) as file:
+        with np.load(io.BytesIO(read_file(path))) as file:
             return file["timesteps"].astype(float), file["results"].mean(axis=1)
     except Exception as error:  # zip files raise many classes
         raise ValueError(f"{path} is no learning curve: it is damaged or something else ({error})") from error

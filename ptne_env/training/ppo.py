@@ -12,6 +12,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,7 +36,7 @@ from ptne_env.learn import load
 from ptne_env.learn.onnx_policy import Metadata, open_policy, seal
 from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.shared.files import write_atomically
+from ptne_env.shared.files import require_file, write_atomically
 from ptne_env.suites import find_scenario
 from ptne_env.training.configuration import (
     CONFIGURATION,
@@ -144,19 +145,17 @@ def ppo_arguments(configuration: Configuration, members: int) -> dict[str, Any]:
 
 
 def _restore(model: PPO, checkpoints: Path) -> int:
-    """Load the last checkpoint, and return its agent-steps; 0 without a checkpoint.
+    """Load the last whole checkpoint, and return its agent-steps; 0 without one.
 
-    Only arrays are read, which execute no code.
+    A run that was killed may leave a part of a checkpoint. Only arrays are read, which execute no code.
     """
     done = {int(path.stem.split("_")[2]): path for path in checkpoints.glob("rl_model_*_steps.zip")}
-    if not done:
-        return 0
-    last = max(done)
-    try:
-        model.set_parameters(str(done[last]), device="cpu")
-    except Exception as error:  # zip files and torch raise many classes
-        raise ValueError(f"{done[last]} is damaged: remove it, and the run goes on from an earlier one") from error
-    return last
+    for steps in sorted(done, reverse=True):
+        with suppress(Exception):  # zip files and torch raise many classes
+            require_file(done[steps])
+            model.set_parameters(str(done[steps]), device="cpu")
+            return steps
+    return 0
 
 
 def _validate(exported: bytes, scenario: Scenario) -> float:

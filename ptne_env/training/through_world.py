@@ -41,7 +41,7 @@ from ptne_env.learn.recurrent import (
     seal,
 )
 from ptne_env.shared.arrays import require_count, require_positive, require_probability, without_gradient
-from ptne_env.shared.files import write_atomically
+from ptne_env.shared.files import read_file, write_atomically
 from ptne_env.suites.suite import find_scenario
 from ptne_env.training.configuration import CONFIGURATION, SUMMARY, RunSummary, read_finished_run, write_record
 from ptne_env.world import distances
@@ -238,7 +238,7 @@ def train(
     weights = _starting_weights(settings)
     resumed_at, steps, reached = 0, 0, -math.inf
     if (out / POLICY).exists():
-        before = open_policy(out / POLICY, (out / POLICY).read_bytes())
+        before = open_policy(out / POLICY, read_file(out / POLICY))
         weights, so_far = before.weights, before.training
         resumed_at, steps, reached = so_far["done"], so_far["agent_steps"], so_far["digits"]
     best = mean = weights = jax.tree.map(jnp.asarray, weights)

@@ -119,7 +119,7 @@ def test_characters_that_the_output_cannot_encode_are_spelled_out(words, printed
 )
 def test_wrong_usage_exits_with_2_and_a_message(words, message, run, tmp_path):
     outcome = run(words)
-    assert outcome.code == ExitCode.USAGE
+    assert outcome.code == ExitCode.ERROR
     assert message in outcome.err
     assert "Traceback" not in outcome.err
     assert not any(tmp_path.iterdir())
@@ -182,13 +182,13 @@ def test_an_obstacle_to_writing_exits_before_the_work(words, run, tmp_path):
 @pytest.mark.parametrize(
     ("error", "code"),
     [
-        (ValueError("wrong"), ExitCode.USAGE),
+        (ValueError("wrong"), ExitCode.ERROR),
         (DamagedFileError("damaged"), ExitCode.FILE),
         (FileNotFoundError(2, "No such file or directory", "path"), ExitCode.FILE),
         (ImportError("missing"), ExitCode.LIBRARY),
         (ConnectionError("no cluster"), ExitCode.FAILED),
         (ChildProcessError("a worker died"), ExitCode.FAILED),
-        (RuntimeError("bug"), ExitCode.FAILED),
+        (RuntimeError("bug"), ExitCode.ERROR),
     ],
 )
 def test_every_kind_of_fault_has_an_exit_code(error, code, run, monkeypatch):
@@ -209,7 +209,7 @@ def test_the_exit_codes_are_documented():
 
 def test_debug_shows_the_traceback(run):
     outcome = run("--debug certify energie")
-    assert outcome.code == ExitCode.USAGE
+    assert outcome.code == ExitCode.ERROR
     assert "Traceback" in outcome.err
     assert "Error: unknown scenario 'energie'" in outcome.err
 

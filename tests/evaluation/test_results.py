@@ -169,7 +169,7 @@ def test_json_holds_everything_and_no_nan_and_reads_back(results, tmp_path):
         (lambda text: text.replace('"seed":2', '"seed":3', 1), "damaged or changed"),
         (lambda text: text.replace('"format":', '"format":9', 1), "no file of results of format"),
         (lambda text: "{}", "no file of results"),
-        (lambda text: text + " " * 2**25, "larger than 32 MiB"),
+        (lambda text: text + " " * 2**25, "has more than 32 MiB"),
     ],
 )
 def test_damaged_foreign_and_huge_files_are_refused(results, tmp_path, change, message):

@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +17,11 @@ from policy_files import OBSERVATION, first_entries, metadata, network, write
 
 import ptne_env
 from ptne_env import Interface, learn
+from ptne_env.evaluation import get_policy_spec
 from ptne_env.learn import Metadata, PolicyFileError
+from ptne_env.learn.sb3_archive import load_archive
 from ptne_env.perception.observation import LayoutError
+from ptne_env.shared.files import DamagedFileError
 from ptne_env.suites import find_scenario
 
 
@@ -82,12 +86,24 @@ def test_a_foreign_file_is_refused(tmp_path, content):
         learn.load(path)
 
 
-def test_a_large_file_is_refused_before_it_is_read(tmp_path):
-    path = tmp_path / "large.onnx"
+@pytest.mark.parametrize("size", [2**24 + 1, 2**40])
+@pytest.mark.parametrize("name", ["large.onnx", "large.npz"])
+def test_a_large_file_is_refused_before_it_is_read(tmp_path, name, size):
+    path = tmp_path / name
     with path.open("wb") as file:
-        file.truncate(2**40)  # it takes no space
-    with pytest.raises(PolicyFileError, match=r"large.onnx has more than 16 MiB"):
+        file.truncate(size)  # it takes no space
+    with pytest.raises(DamagedFileError, match=rf"{name} has more than 16 MiB"):
         learn.load(path)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs a device that never ends")
+@pytest.mark.parametrize("name", ["endless.onnx", "endless.npz", "endless.zip"])
+def test_a_link_to_a_device_is_refused_before_it_is_read(tmp_path, name):
+    (tmp_path / name).symlink_to("/dev/zero")
+    with pytest.raises(DamagedFileError, match=f"{name}' is a pipe or a device: name a regular file"):
+        get_policy_spec(str(tmp_path / name), trust=True)
+    with pytest.raises(DamagedFileError, match=f"{name}' is a pipe or a device"):
+        (load_archive if name.endswith(".zip") else learn.load)(tmp_path / name)
 
 
 CHANGES = ({"unheard_of": 1}, {"action_dims": ["a"]}, {"action_dims": [0]}, {"slots": "2"}, {"interface": ["scaled"]})

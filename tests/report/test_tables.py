@@ -197,13 +197,14 @@ def test_the_leaderboard_has_the_scores_of_a_suite_alone(suite, comparison):
 def test_the_table_of_a_verification_shows_every_verdict(width):
     repetitions = (
         Repetition("ring", "policy-0", 0, 0.0, agrees=True),
-        Repetition("ring", "policy-1", 0, 0.1, agrees=False),
+        Repetition("ring", "policy-1", 0, 0.1, agrees=False, fresh=2.5),
         Repetition("ring", "policy-1", 1, None, agrees=False, reason="step 0: no number"),
     )
-    found = Verification(tuple(map(str, range(12))), repetitions, 7, same_arithmetic=False)
+    found = Verification(tuple(map(str, range(12))), repetitions, 7, same_arithmetic=False, seed=1)
     rebuilt, table = verification_tables(found)
-    verdicts, _, reasons = ([column[row].text for row in table.rows] for column in table.columns)
+    verdicts, _, fresh, reasons = ([column[row].text for row in table.rows] for column in table.columns)
     assert len(set(verdicts)) == 3
+    assert fresh == ["–", "2.50", "–"]
     assert reasons == ["", "", "step 0: no number"]
     assert len(table.notes) == 1
     texts = [tuple(column[row].text for column in rebuilt.columns) for row in rebuilt.rows]

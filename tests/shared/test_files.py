@@ -6,7 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from ptne_env.shared.files import DamagedFileError, read_json, require_file, require_writable, write_atomically
+from ptne_env.shared.files import (
+    DamagedFileError,
+    read_file,
+    read_json,
+    require_file,
+    require_writable,
+    write_atomically,
+)
 
 
 def test_folders_are_made_and_text_is_written_as_utf8(tmp_path):
@@ -61,8 +68,19 @@ def test_a_missing_file_is_called_a_missing_file(tmp_path):
         require_file(tmp_path / "missing")
     with pytest.raises(IsADirectoryError, match="is a folder: name a file"):
         require_file(tmp_path)
-    (tmp_path / "there").touch()
-    require_file(tmp_path / "there")
+    (tmp_path / "there").write_bytes(b"12345")
+    (tmp_path / "link").symlink_to("there")
+    assert read_file(tmp_path / "link", largest=5) == b"12345"
+    with pytest.raises(DamagedFileError, match="there has more than 0 MiB"):
+        read_file(tmp_path / "there", largest=4)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+@pytest.mark.parametrize("read", [require_file, read_file, lambda path: read_json(path, "a note")])
+def test_a_pipe_is_refused_before_it_is_read(tmp_path, read):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(DamagedFileError, match="pipe' is a pipe or a device: name a regular file"):
+        read(tmp_path / "pipe")
 
 
 def test_a_link_stays_and_its_target_is_written(tmp_path):

@@ -137,12 +137,18 @@ def interrupt(done, *_):
         raise InterruptionError
 
 
-def test_an_interrupted_run_goes_on_with_the_network_and_optimiser_of_its_last_checkpoint(tmp_path, monkeypatch):
+def test_an_interrupted_run_goes_on_with_the_network_and_optimiser_of_its_last_whole_checkpoint(tmp_path, monkeypatch):
+    checkpoints = tmp_path / "checkpoints"
+    checkpoints.mkdir()
+    (checkpoints / "rl_model_900_steps.zip").write_bytes(b"PK\x03\x04")  # of a run that was killed
     with pytest.raises(InterruptionError):
         ppo.train(SHORT, tmp_path, interrupt)
-    path = max((tmp_path / "checkpoints").iterdir(), key=lambda path: path.stat().st_mtime_ns)
+    path = max(checkpoints.iterdir(), key=lambda path: path.stat().st_mtime_ns)
     last = int(path.stem.split("_")[2])
     assert 400 <= last <= 500
+    content = path.read_bytes()
+    (checkpoints / "rl_model_800_steps.zip").write_bytes(content[: len(content) // 2])
+    (checkpoints / "rl_model_850_steps.zip").symlink_to("/dev/null")
     stored, learn_on, resumed, reports = PPO.load(path, device="cpu").get_parameters(), PPO.learn, [], []
 
     def learn_from(model, *arguments, **named):
@@ -157,13 +163,6 @@ def test_an_interrupted_run_goes_on_with_the_network_and_optimiser_of_its_last_c
     pairs = [(a, b) for a, b in zip(mine, theirs, strict=True) if isinstance(a, torch.Tensor)]
     assert len(pairs) > 20  # weights, and the moments of each
     assert all(torch.equal(a, b) for a, b in pairs)
-
-
-def test_a_damaged_checkpoint_is_refused_by_name(tmp_path):
-    (tmp_path / "checkpoints").mkdir()
-    (tmp_path / "checkpoints" / "rl_model_100_steps.zip").write_bytes(b"PK\x03\x04")
-    with pytest.raises(ValueError, match="rl_model_100_steps.zip is damaged: remove it"):
-        ppo.train(SHORT, tmp_path)
 
 
 @pytest.mark.parametrize(
