@@ -10,12 +10,14 @@ the reward is the mean over players. Registered as ``ptne/<scenario>-joint-v0``:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -66,7 +68,27 @@ def _join_boxes(space: spaces.Box, players: int) -> Any:
     return spaces.Box(np.tile(space.low, players), np.tile(space.high, players), dtype=np.float32)
 
 
-class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
+class _HasReadableSpec:
+    """An environment whose spec holds data in place of parts, scenarios and interfaces, so that JSON has it all."""
+
+    scenario: Scenario
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The spec with which Gymnasium made the environment, if it did."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            parts = {name: getattr(self.scenario, name, value) for name, value in spec.kwargs.items()}
+            arguments = {name: getattr(value, "to_dict", lambda value=value: value)() for name, value in parts.items()}
+            spec = replace(spec, kwargs=arguments)
+        self._spec = spec
+
+
+class JointEnv(_HasReadableSpec, gymnasium.Env[Float32Array, Float32Array]):
     """One environment with one agent that acts for all players; arguments are those of :func:`ptne_env.parallel_env`.
 
     The info has the same keys and dtypes after a reset and after every step: those of
@@ -89,6 +111,7 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
         self, scenario: str | Scenario = "energy", *, render_mode: str | None = None, **arguments: Any
     ) -> None:
         self.parallel = NashSeekingEnv(scenario, render_mode=render_mode, **arguments)
+        self.scenario = self.parallel.scenario
         self.layout: ObservationLayout = self.parallel.layout
         self.render_mode = render_mode
         players = len(self.parallel.possible_agents)
@@ -129,7 +152,7 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
         self.parallel.close()
 
 
-class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
+class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
     """B environments with one agent each, stepped together, for ``gymnasium.make_vec``.
 
     Infos hold arrays of shape (B,) of the entries of :class:`JointEnv`'s info, each with a mask ``_name`` of the
@@ -167,6 +190,7 @@ class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**JointEnv.metadata, "render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
+        self.scenario = self.vector.scenario
         self.layout: ObservationLayout = self.vector.layout
         self.num_envs = self.vector.num_envs
         self.render_mode = None

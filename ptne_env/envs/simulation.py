@@ -82,13 +82,13 @@ def override_fields(scenario: str | Scenario, overrides: Mapping[str, Any], make
     return get_scenario(scenario, **overrides)
 
 
-def player_encoder(world: World, interface: InterfaceKind | Interface) -> Encoder:
-    """Return the encoder of an environment, which shows no more than players see.
+def player_encoder(world: World, interface: InterfaceKind | Interface | Mapping[str, Any]) -> Encoder:
+    """Return the encoder of an environment, which shows no more than players see, for an interface or its JSON object.
 
     Raises:
         ValueError: for an unknown interface, and for one with a field that players lack, such as ``full``.
     """
-    encoder = Encoder(world, interface)
+    encoder = Encoder(world, Interface.from_dict(interface) if isinstance(interface, Mapping) else interface)
     if encoder.layout.interface.is_privileged:
         raise ValueError(
             f"{encoder.layout.interface} shows information that players lack, and is only for oracles in evaluations; "

@@ -82,14 +82,16 @@ DESCRIPTIONS: Mapping[str, str] = {name: sentence for name, (_, sentence) in _SC
 """One sentence about each named scenario."""
 
 
-def get_scenario(scenario: str | Scenario, *, players: int | None = None, **overrides: Any) -> Scenario:
+def get_scenario(
+    scenario: str | Scenario | Mapping[str, Any], *, players: int | None = None, **overrides: Any
+) -> Scenario:
     """Return a scenario by its name, or as it is, with some fields changed.
 
     >>> get_scenario("energy", start="random")
 
     Args:
-        scenario: a name of the catalogue, a ``"module:object"`` that is a scenario or a function that makes one, or a
-            scenario.
+        scenario: a name of the catalogue, a ``"module:object"`` that is a scenario or a function that makes one, a
+            scenario, or the JSON object of one.
         players: N of its game and of its topology, where both have the parameter ``players``, as ``random-energy`` on
             a cycle has.
         **overrides: the fields that change.
@@ -116,6 +118,8 @@ def get_scenario(scenario: str | Scenario, *, players: int | None = None, **over
                 )
             raise ValueError(unknown_name("scenario", scenario, CATALOGUE))
         scenario = CATALOGUE[scenario]
+    if isinstance(scenario, Mapping):
+        scenario = Scenario.from_dict(scenario)
     if not isinstance(scenario, Scenario):  # an environment, for example
         kind = type(scenario).__name__
         raise TypeError(f"a scenario is a name or a Scenario, such as env.scenario of an environment; got a {kind}")

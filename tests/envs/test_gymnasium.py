@@ -1,21 +1,46 @@
 """The joint view as Gymnasium's users meet it: by id, alone, in a vector, under every autoreset mode."""
 
 import gymnasium
+import networkx as nx
 import numpy as np
 import pytest
 from extras import need_matplotlib, need_sb3
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from worlds import BLOCKS, make_env
 
 import ptne_env
-from ptne_env import CATALOGUE
+from ptne_env import CATALOGUE, Interface, get_scenario
 from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
+from ptne_env.games import RandomEnergy
+from ptne_env.world.channels import Loss
 from ptne_env.world.world import World
 
 BATCH = 4
 
 MODES = {"NEXT_STEP": AutoresetMode.NEXT_STEP, "SAME_STEP": AutoresetMode.SAME_STEP, "DISABLED": AutoresetMode.DISABLED}
+
+
+class Quiet(Loss):
+    """A part of one's own."""
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"channel": Quiet(0.5), "topology": nx.cycle_graph(5), "start": "random"},
+        {"topology": nx.to_numpy_array(nx.star_graph(4)), "game": RandomEnergy(players=5), "steps": 30},
+        {"scenario": get_scenario("random-energy", steps=30), "interface": Interface("physical"), "players": 6},
+        {"interface": Interface("scaled", fields=("own_gradient", "clock"))},
+    ],
+)
+def test_a_spec_in_json_makes_the_environment_again(make, arguments):
+    env = make("ptne_env:ptne/energy-joint-v0", **arguments)
+    again = make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.scenario == env.unwrapped.scenario
+    assert again.unwrapped.layout == env.unwrapped.layout
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
