@@ -10,6 +10,7 @@ from time import time
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 try:
     from stable_baselines3.common.monitor import Monitor
@@ -17,6 +18,7 @@ try:
 except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
     raise ImportError('the Stable-Baselines3 adapter needs an extra: pip install "ptne-env[sb3]"') from error
 
+from ptne_env.envs.rendering import Renderer
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, as_plain, require_count
@@ -40,6 +42,7 @@ class PlayerVecEnv(VecEnv):
         scenario: a name of the catalogue or a scenario.
         num_envs: B, the number of environments; the ``num_envs`` of the VecEnv is B·N.
         seed: the seed of the first reset; environment b gets seed + b.
+        render_mode: ``"rgb_array"`` for pictures of environment 0, as ``VecVideoRecorder`` takes them, or ``None``.
         **arguments: arguments of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward, max_cycles and
             fields of the scenario.
 
@@ -53,11 +56,21 @@ class PlayerVecEnv(VecEnv):
     """
 
     def __init__(
-        self, scenario: str | Scenario = "energy", num_envs: int = 1, *, seed: int | None = None, **arguments: Any
+        self,
+        scenario: str | Scenario = "energy",
+        num_envs: int = 1,
+        *,
+        seed: int | None = None,
+        render_mode: str | None = None,
+        **arguments: Any,
     ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"unknown render_mode {render_mode!r}; choose None or 'rgb_array'")
         self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
         self.layout: ObservationLayout = self.vector.layout
-        self.render_mode: str | None = None
+        self.render_mode = render_mode
+        self._pictured = self.vector._blocks[0]  # noqa: SLF001 - its first environment is number 0
+        self._renderer = Renderer(self._pictured.encoder.world, render_mode) if render_mode else None
         self._players = self.vector.num_players
         self._actions = np.empty(0)
         self._began = time()
@@ -81,6 +94,8 @@ class PlayerVecEnv(VecEnv):
         observations, _ = self.vector.reset(self._seeds[:: self._players])
         self._returns[:], self._lengths[:] = 0, 0
         self.reset_infos = [{} for _ in range(self.num_envs)]
+        if self._renderer is not None:
+            self._renderer.reset(self._pictured.current)
         self._reset_seeds()
         self._reset_options()
         return observations.reshape(self.num_envs, -1)
@@ -111,6 +126,8 @@ class PlayerVecEnv(VecEnv):
                 infos[member] = self._last_info(outcome, member)
             self._returns[dones], self._lengths[dones] = 0, 0
             observations, _ = self.vector.reset(mask=over)
+        if self._renderer is not None:
+            (self._renderer.reset if over[0] else self._renderer.record)(self._pictured.current)
         return observations.reshape(self.num_envs, -1), rewards, dones, infos
 
     def _last_info(self, outcome: VectorStep, member: int) -> dict[str, Any]:
@@ -123,6 +140,10 @@ class PlayerVecEnv(VecEnv):
             "episode": {"r": float(self._returns[member]), "l": int(self._lengths[member]), "t": seconds},
             **{name: info[env] if info.ndim == 1 else info[env, player] for name, info in outcome.infos.items()},
         }
+
+    def get_images(self) -> list[npt.NDArray[np.uint8] | None]:
+        """Return the picture of environment 0, from which ``render`` of Stable-Baselines3 makes its own."""
+        return [] if self._renderer is None else [self._renderer.draw()]
 
     def close(self) -> None:
         """Do nothing; there is nothing to release."""
