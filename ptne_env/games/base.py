@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -269,6 +270,20 @@ class Game(Part, ABC):
         xp = array_namespace(self.nash_equilibria)
         norms = xp.sqrt(ordered_sum(self.nash_equilibria**2))
         return freeze(xp.where(norms <= RESIDUAL_TOLERANCE, 1.0, norms))
+
+    @cached_property
+    def regret_scale(self) -> FloatArray:
+        """The unit of regrets in rewards: the mean over players at a relative distance of 1 from x*. Shape (G,).
+
+        The point is x* + ‖x*‖/√n in all components. The unit is 1 where rounding leaves nothing of a regret.
+
+        Raises:
+            NoBestResponseError: as :meth:`best_response`.
+        """
+        xp = array_namespace(self.nash_equilibria)
+        regrets = self.regrets(self.nash_equilibria + self.equilibrium_scale / math.sqrt(self.dimension))
+        mean = ordered_sum(regrets) / self.num_players
+        return freeze(xp.where(mean > 0, mean, 1.0))
 
     @property
     def nash_equilibrium(self) -> FloatArray:

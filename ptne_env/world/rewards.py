@@ -68,10 +68,10 @@ TERMS: Mapping[str, Term] = {
         worst=lambda _: -REWARD_LIMIT,
     ),
     "regret": Term(
-        "min over y of J_i(y, x_{−i}) − J_i(x) after the step, minus the gain of a best response; an error "
-        "for games that have none, such as Example 2",
-        value=lambda state, _: _minus(state.game.regrets, state),
-        worst=lambda _: -REWARD_LIMIT,
+        "min over y of J_i(y, x_{−i}) − J_i(x) after the step, minus the gain of a best response, over its mean at a "
+        "distance of 1 from x*; an error for games that have none, such as Example 2",
+        value=lambda state, _: _minus(state.game.regrets, state) / state.game.regret_scale,
+        worst=lambda game: -REWARD_LIMIT / game.regret_scale,
         needs_best_response=True,
     ),
 }

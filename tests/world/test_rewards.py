@@ -37,9 +37,9 @@ def strategies(world, state):
     return state.estimates[np.arange(owners.size), owners]
 
 
-def savings(world, state):
+def savings(world, played):
     """What a best response of each player would save it."""
-    game, played = world.game, strategies(world, state)
+    game = world.game
     response, saved = game.best_response(played), []
     for i in range(game.num_players):
         deviated = np.where((game.owners == i)[:, None], response, played)
@@ -47,11 +47,18 @@ def savings(world, state):
     return np.array(saved)
 
 
+def regrets_of_order_one(world, state):
+    """What best responses would save, over the mean of it where each component is off by ‖x*‖/√n."""
+    equilibrium = world.game.nash_equilibrium[:, None]
+    away = savings(world, equilibrium + np.sqrt((equilibrium**2).mean()))
+    return savings(world, strategies(world, state)) / away.mean()
+
+
 FORMULAS = {
     "digits": (lambda w, before, after: np.log10(distance(w, before)) - np.log10(distance(w, after)), 1e-12),
     "tracking": (lambda w, before, after: -distance(w, after), 0),
     "payoff": (lambda w, before, after: -w.game.costs(strategies(w, after)), 0),
-    "regret": (lambda w, before, after: -savings(w, after), 1e-10),
+    "regret": (lambda w, before, after: -regrets_of_order_one(w, after), 1e-10),
 }
 """Every term once more, from the world and the states before and after a step, and the slack of its comparison."""
 
