@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -138,7 +139,7 @@ def run_serially(jobs: Sequence[Job]) -> list[JobResult]:
 
 
 def evaluate(
-    policies: str | PolicySpec | Policy | Iterable[str | PolicySpec | Policy],
+    policies: str | Path | PolicySpec | Policy | Iterable[str | Path | PolicySpec | Policy],
     scenarios: str | Scenario | Track | Iterable[str | Scenario | Track],
     *,
     episodes: int = EPISODES,
@@ -181,7 +182,7 @@ def as_list(things: Any) -> list[Any]:
         TypeError: for an object that is none of the things to compare, such as an environment.
     """
     known = PolicySpec | Scenario | Track
-    if isinstance(things, str | known) or hasattr(things, "predict"):
+    if isinstance(things, str | Path | known) or hasattr(things, "predict"):
         return [things]
     if isinstance(things, Mapping):
         return [thing if isinstance(thing, known) else PolicySpec(name, thing) for name, thing in things.items()]

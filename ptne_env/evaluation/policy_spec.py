@@ -227,7 +227,7 @@ POLICIES: Mapping[str, PolicySpec] = _Policies()
 
 
 def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
-    """Return the spec of a policy, which may be given as a string, as an object, or as a spec already.
+    """Return the spec of a policy, which may be given as a string, a path, an object, or as a spec already.
 
     A ``"module:object"`` is imported without a question, because the caller could import it, too. The command line,
     whose arguments may be copied from elsewhere, asks first.
@@ -249,6 +249,7 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
         return policy
     if hasattr(policy, "predict"):
         return PolicySpec((policy if isinstance(policy, type) else type(policy)).__name__, policy)
+    policy = str(policy) if isinstance(policy, Path) else policy
     if not isinstance(policy, str):
         raise ValueError(
             f"a policy is a string, an object with predict, or a PolicySpec, got {policy!r}: wrap a function that is "

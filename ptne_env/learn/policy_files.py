@@ -9,7 +9,7 @@ from ptne_env.learn import onnx_policy, recurrent
 from ptne_env.learn.recurrent import RecurrentPolicy
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.perception.policy import NetworkPolicy
-from ptne_env.shared.files import read_file
+from ptne_env.shared.files import read_file, shipped_files
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import FactorySpec
 
@@ -55,7 +55,7 @@ def format_of(source: Any) -> PolicyFormat | None:
 
 def shipped_names() -> list[str]:
     """Return the names of the policies in the library."""
-    return sorted(path.stem for path in Path(__file__).parent.iterdir() if path.suffix in DATA.endings)
+    return list(shipped_files("learn", *DATA.endings))
 
 
 def shipped_path(name: str) -> Path:
@@ -66,8 +66,7 @@ def shipped_path(name: str) -> Path:
     """
     if name not in shipped_names():
         raise ValueError(unknown_name("learned policy", name, shipped_names(), "an .onnx or .npz file"))
-    paths = (Path(__file__).with_name(f"{name}{ending}") for ending in DATA.endings)
-    return next(path for path in paths if path.exists())
+    return shipped_files("learn", *DATA.endings)[name]
 
 
 def find_file(path_or_name: str | Path) -> Path:

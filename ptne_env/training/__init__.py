@@ -3,12 +3,12 @@
 ``ppo`` needs the extra ``pip install "ptne-env[sb3]"``, ``through_world`` the extra ``ptne-env[jax]``.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
-CONFIGURATIONS = Path(__file__).parent / "configurations"
-"""The folder of the shipped configurations, one ``.toml`` file each."""
+from ptne_env.shared.files import shipped_files
 
 
-def configurations() -> list[str]:
-    """Return the names of the shipped configurations."""
-    return sorted(path.stem for path in CONFIGURATIONS.glob("*.toml"))
+def configurations() -> Mapping[str, Path]:
+    """Return the files of the shipped configurations by name."""
+    return shipped_files("training/configurations", ".toml")

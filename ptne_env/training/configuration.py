@@ -13,7 +13,7 @@ from ptne_env.shared.arrays import require_count, require_positive, require_prin
 from ptne_env.shared.files import DamagedFileError, read_file, read_json, write_atomically
 from ptne_env.shared.names import unknown_name
 from ptne_env.suites.suite import world_names
-from ptne_env.training import CONFIGURATIONS, configurations
+from ptne_env.training import configurations
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def _read_values(name: str) -> dict[str, Any]:
             if ":" in name or name in world_names():
                 return {"scenario": name}
             raise ValueError(unknown_name("configuration", name, [*configurations(), *world_names()], "a .toml file"))
-        path = CONFIGURATIONS / f"{name}.toml"
+        path = configurations()[name]
     content = read_file(path)
     try:
         return tomllib.loads(content.decode())

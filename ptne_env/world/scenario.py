@@ -43,7 +43,8 @@ def _as_spec(field: str, value: Any) -> FactorySpec:
         from ptne_env.world.graphs import adjacency
 
         value = adjacency(value)
-    value = value.toarray() if hasattr(value, "toarray") else value  # a sparse matrix
+    for dense in ("toarray", "to_dense"):  # of a sparse matrix of scipy, or of a tensor of torch
+        value = getattr(value, dense)() if hasattr(value, dense) else value
     if not (isinstance(value, list | tuple) or hasattr(value, "__array__")) or field not in _ARRAYS:
         raise ValueError(
             f"{field} is an object of the library's class for it, the id of a part, a 'module:object' string or a "

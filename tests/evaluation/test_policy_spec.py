@@ -1,5 +1,6 @@
 """Entries: policies by name, file, address and pattern, and what a spec may declare."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from small_suite import BASE
 import ptne_env
 from ptne_env import FactorySpec, Interface, PolicySpec, evaluate, laws
 from ptne_env.evaluation import COMPARED, POLICIES, get_policy_spec
+from ptne_env.evaluation.comparison import as_list
 from ptne_env.learn import shipped_path
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.observation import LayoutError
@@ -59,6 +61,8 @@ def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch)
         (tmp_path / folder / "policy.onnx").write_bytes(shipped_path("ppo-random-energy").read_bytes())
     for path in ("lr=0.1/policy.onnx", "runs/lr=0.1/policy.onnx"):  # a path with an equals sign is a file
         assert get_policy_spec(path).policy == FactorySpec.of("policy:file", path_or_name=path)
+        assert as_list(Path(path)) == [Path(path)]
+        assert get_policy_spec(path) == get_policy_spec(Path(path))
         assert get_policy_spec(path).is_own
     assert len(get_policy_spec("mine=runs/lr=*/policy.onnx").training_seeds) == 2
     with pytest.raises(FileNotFoundError, match=r"there is no file 'none-\*.onnx', which 'mine=none-\*.onnx' asks for"):

@@ -4,6 +4,7 @@ import pickle
 import networkx as nx
 import numpy as np
 import pytest
+from extras import need_sb3
 from hypothesis import given
 from hypothesis import strategies as st
 from worlds import FROM_THE_PAPER
@@ -77,6 +78,15 @@ def test_families_have_any_number_of_players_and_graphs_come_from_networkx_and_a
     ]
     assert scenarios == [scenarios[0]] * 4
     assert World(scenarios[0]).topology.graphs == (complete(7),)
+
+
+def test_tensors_are_topologies():
+    torch = need_sb3()
+    matrix = nx.to_numpy_array(nx.star_graph(4))
+    expected = get_scenario("random-energy", topology=matrix)
+    tensor = torch.tensor(matrix, requires_grad=True)
+    for topology in (tensor, tensor.detach().to_sparse(), tensor.bool()):
+        assert get_scenario("random-energy", topology=topology) == expected
 
 
 def test_an_object_that_is_no_topology_is_refused_and_the_message_names_matrices_and_graphs():
