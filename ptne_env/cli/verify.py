@@ -17,6 +17,7 @@ from ptne_env.execution.verification import verify as run_verification
 from ptne_env.report.tables import verification_tables
 from ptne_env.report.terminal import draw_table
 from ptne_env.shared.parts import foreign_targets
+from ptne_env.suites.suite import SUITES
 
 
 @app.command(cls=Command)
@@ -43,7 +44,8 @@ def verify(
     another one: 2 for wrong usage or an error of the program, 3 for a file that is missing, damaged or unreadable.
     """
     check_writable(json)
-    trust = options.require_trust(foreign_targets(read_results(results)), trust=trust)
+    data = read_results(results)
+    trust = options.require_trust(foreign_targets(data), trust=trust)
     with progress("verifying") as advance:
         outcome = run_verification(
             results,
@@ -58,6 +60,9 @@ def verify(
     screen = console()
     for table in verification_tables(outcome):
         screen.print(draw_table(table, screen.width))
+    is_published = data["name"] in list(SUITES)
+    rules = "those of the published suite" if is_published else "its own: no suite of this name is published"
+    say(f"The rules of {data['name']!r} are {rules}")
     say(f"{len(jobs)} of {outcome.jobs} jobs were run again; --seed {outcome.seed} repeats this verification")
     if not outcome.passes:
         raise typer.Exit(ExitCode.FAILED)

@@ -8,7 +8,7 @@ import platform
 import reprlib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -70,8 +70,10 @@ def _by_name(value: Any) -> Any:
 
 def file_hash(path: str | Path) -> str | None:
     """Return the SHA-256 of a file, in hexadecimal; ``None`` where there is none."""
-    path = Path(path)
-    return sha256(path.read_bytes()).hexdigest() if path.is_file() else None
+    if not Path(path).is_file():
+        return None
+    with Path(path).open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()
 
 
 def versions(others: Iterable[str] = ()) -> dict[str, str]:

@@ -238,6 +238,8 @@ class Results:
                     repeats = episode_sets[track].count if kind == "timings" else 1
                     for policy, metrics in policies.items():
                         for metric, values in metrics.items():
+                            if (metric in METRICS and METRICS[metric].is_timing) != (kind == "timings"):
+                                raise ValueError(f"not results: {metric} of {policy} on {track} is among the {kind}")
                             array = np.repeat(np.array(values, dtype=np.float64), repeats, axis=1)
                             samples.setdefault((track, policy), {})[metric] = array
             return cls(
@@ -250,7 +252,7 @@ class Results:
                 {(item["track"], item["policy"]): item["reason"] for item in data["not_applicable"]},
                 {(item["track"], item["policy"]): item["reason"] for item in data["failures"]},
             )
-        except (KeyError, TypeError, AttributeError, IndexError) as error:
+        except (KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
             raise ValueError(f"not results: {type(error).__name__}: {error}") from error
 
     def to_json(self) -> str:

@@ -19,14 +19,14 @@ from ptne_env.evaluation.metrics import METRICS
 from ptne_env.evaluation.policy_spec import POLICIES
 from ptne_env.evaluation.provenance import arithmetic, file_hash, unequal, versions
 from ptne_env.evaluation.results import SHOWN, Place, Results, read_results
-from ptne_env.evaluation.statistics import chance
-from ptne_env.learn.policy_files import DATA
+from ptne_env.evaluation.statistics import chance, differ_by_rounding
+from ptne_env.learn.policy_files import DATA, LARGEST_FILE
 from ptne_env.shared.arrays import FloatArray, require_count
 from ptne_env.shared.parts import foreign_targets
 from ptne_env.suites.suite import REFERENCES, SUITES, Suite, get_suite
 
 SAMPLE = 2
-"""Number of jobs of every policy that run again."""
+"""Number of jobs of every policy that run again, beside those without numbers."""
 
 ROUNDING = 1e-6
 """Largest |new − old|/(1e-9 + |old|) with which a value repeats, because values are rounded to seven decimals."""
@@ -101,7 +101,7 @@ def verify(
     Args:
         path: the path of a file ``results.json``, or of its folder. The files of policies are found by their SHA-256 in
             the folder, or at the paths that the results name.
-        sample: the number of jobs of every policy that run again.
+        sample: the number of jobs of every policy that run again, beside those that have failed or are n/a.
         seed: the seed of the choice of jobs and of fresh episodes, not that of the results; unpredictable if left out.
         trust: whether code from outside the library that the results name may run.
         progress: called when a job is done, with ``"track: policy"`` and the number of jobs to run.
@@ -123,16 +123,18 @@ def verify(
     results = Results.from_dict(data)
     if seed in {episodes.seed for episodes in results.episode_sets.values()}:
         raise ValueError(f"the results have the seed {seed}: fresh episodes need another one")
-    same = data["arithmetic"] == arithmetic() and data["versions"] == versions(data["versions"])
+    declared = data.get("versions")
+    same = data.get("arithmetic") == arithmetic() and isinstance(declared, dict) and declared == versions(declared)
     total = sum(len(spec.training_seeds) for spec in results.policies.values()) * len(results.tracks)
     if faults := [*_faults_of_samples(results)] or [*_faults_of_content(results, data)]:
         return Verification(tuple(faults), (), total, same, seed)
     generator, sampled = np.random.default_rng(seed), []
     for spec in results.policies.values():
         pairs = [*product(results.tracks, range(len(spec.training_seeds)))]
-        for index in sorted(generator.permutation(len(pairs))[:sample]):
-            track, training_seed = pairs[index]
-            sampled.append(Job(track, spec, training_seed, results.episode_sets[track.name]))
+        drawn = generator.permutation(len(pairs))[:sample]
+        for index, (track, training_seed) in enumerate(pairs):
+            if index in drawn or (training_seed == 0 and (track.name, spec.name) in results.reasons):
+                sampled.append(Job(track, spec, training_seed, results.episode_sets[track.name]))
     level = FALSE_ALARM / (len(sampled) * len(METRICS))
     repetitions = []
     for job in sampled:
@@ -144,7 +146,8 @@ def verify(
 
 def _locate_files(data: dict[str, Any], folder: Path) -> None:
     """Change the paths of files of policies to those of the same files in a folder, where there are such files."""
-    here = {file_hash(file): str(file) for file in folder.rglob("*") if file.suffix in DATA.endings}
+    files = [file for file in folder.rglob("*") if file.suffix in DATA.endings and file.is_file()]
+    here = {file_hash(file): str(file) for file in files if file.stat().st_size <= LARGEST_FILE}
     try:
         for source in [source for policy in data["policies"] for source in policy["training_seeds"]]:
             arguments = source.get("arguments")
@@ -199,21 +202,27 @@ def _faults_of_content(results: Results, data: Mapping[str, Any]) -> Iterator[st
     episodes = {track.name: suite.episode_set(track.name, seed=results.seed, split=split) for track in suite.tracks}
     if results.is_comparison and not names:
         episodes = {name: replace(drawn, track=None) for name, drawn in episodes.items()}
+    machine = {key: data[key] for key in ("versions", "arithmetic") if isinstance(data.get(key), dict)}
     expected = results.to_dict() | {
         "name": suite.name,
         "suite": names[0] if names else results.target,
         "tracks": [track.to_dict() for track in suite.tracks],
         "episodes": {name: asdict(drawn) for name, drawn in episodes.items()},
         "policies": [POLICIES.get(name, spec).to_dict() for name, spec in results.policies.items()],
-        **{key: data[key] for key in ("checksum", "versions", "arithmetic")},  # the last two choose how jobs are judged
+        "checksum": data["checksum"],
+        **machine,  # which only chooses how jobs are judged
     }
+    for policy in expected["policies"]:
+        sources = [source["sha256"] or str(source) for source in policy["training_seeds"]]
+        if len(set(sources)) < len(sources):
+            yield f"training seeds of policy {policy['name']} are the same policy"
     for reference in set(REFERENCES) - results.policies.keys() if names else ():
         yield f"the reference policy {reference} is missing"
     yield from unequal(data, json.loads(json.dumps(expected)))
 
 
 def _repeat(results: Results, job: Job, seed: int, level: float, *, same_arithmetic: bool) -> Repetition:
-    """Run a job again, and with a fresh seed where the policy does not ship; ``level`` is that of every test."""
+    """Run a job again, and fresh episodes where the policy does not ship; ``level`` is that of every test."""
     place = job.track.name, job.policy.name
     repetition = Repetition(*place, job.training_seed, None, agrees=False)
     if place not in results.samples:  # another training seed may be the reason
@@ -231,10 +240,13 @@ def _repeat(results: Results, job: Job, seed: int, level: float, *, same_arithme
     same_holes = bool((np.isnan(values) == np.isnan(again)).all())
     difference = float(np.nanmax(changes, initial=0.0)) if same_holes else None
     exact = difference is not None and difference <= ROUNDING
-    agrees = exact if same_arithmetic else all(_is_rounding(*pair, level) for pair in pairs)
+    agrees = exact if same_arithmetic else all(differ_by_rounding(*pair, level) for pair in pairs)
     repetition = replace(repetition, difference=difference, agrees=agrees)
-    if job.policy.name in POLICIES or not agrees:
-        return repetition
+    return repetition if job.policy.name in POLICIES or not agrees else _play_fresh(repetition, job, old, seed, level)
+
+
+def _play_fresh(repetition: Repetition, job: Job, old: Mapping[str, FloatArray], seed: int, level: float) -> Repetition:
+    """Run a job with a fresh seed, and complete its repetition: published numbers must not be higher."""
     fresh = replace(job, episodes=replace(job.episodes, seed=seed)).compute()
     reasons = [reason for reason in (fresh.not_applicable, fresh.failure) if reason]
     for name in {"digits", "digits_on_the_way"} & fresh.samples.keys():
@@ -244,20 +256,3 @@ def _repeat(results: Results, job: Job, seed: int, level: float, *, same_arithme
     reason = f"with the fresh seed: {', '.join(sorted(reasons))}" if reasons else None
     digits = float(fresh.samples["digits"].mean()) if fresh.samples else None
     return replace(repetition, agrees=not reasons, reason=reason, fresh=digits)
-
-
-def _is_rounding(old: FloatArray, new: FloatArray, level: float) -> bool:
-    """Return whether rounding explains the differences in the same episodes.
-
-    Worlds may amplify it, but most episodes come out more alike than different ones, and the mean difference is one of
-    chance. A single episode may differ by a tenth.
-    """
-    both = np.isfinite(old) & np.isfinite(new)
-    if np.mean(np.isnan(old) != np.isnan(new)) > 0.1 or not both.any():
-        return not (np.isfinite(old) | np.isfinite(new)).any()
-    old, new = old[both], new[both]
-    size = float(np.abs(old).mean())
-    slack, others = 1e-9 + 1e-3 * size, np.abs(new[:, None] - old)[~np.eye(len(old), dtype=bool)]
-    reach = 0.75 * float(np.median(others)) if len(others) else 0.1 * (1 + size)
-    is_typical = bool(np.median(np.abs(new - old)) <= slack + reach)
-    return is_typical and chance(abs(float((new - old).mean())) - slack, new - old) >= level / 2

@@ -363,7 +363,8 @@ def test_verify_exits_with_1_when_a_published_number_is_changed(run, tmp_path):
     outcome = run("verify out")
     assert outcome.code == 0, outcome.err
     assert "reproduces" in outcome.out
-    assert "of 2 jobs were run again" in outcome.out
+    assert "2 of 2 jobs were run again; --seed " in outcome.out
+    assert "The rules of 'comparison' are its own" in outcome.out
     file = tmp_path / "out" / "results.json"
     data = json.loads(file.read_text(encoding="utf-8"))
     data["records"][0]["mean"] += 1

@@ -179,6 +179,14 @@ def test_damaged_foreign_and_huge_files_are_refused(results, tmp_path, change, m
         read_results(path)
 
 
+def test_numbers_beside_the_sealed_ones_do_not_replace_them(results):
+    data = json.loads(results.to_json())
+    track, policy = "energy", "static"
+    data["timings"][track][policy]["digits"] = [[12.0]]  # the checksum does not cover timings
+    with pytest.raises(ValueError, match=f"not results: digits of {policy} on {track} is among the timings"):
+        Results.from_dict(data)
+
+
 @pytest.mark.parametrize("change", [{"policies": 3}, {"tracks": [{}]}, {"episodes": {}}, {"samples": {"energy": 1}}])
 def test_data_of_another_form_are_no_results(results, change):
     with pytest.raises(ValueError, match="not results"):

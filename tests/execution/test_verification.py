@@ -42,7 +42,7 @@ def samples_of(data, policy="grounded", track="ring"):
 
 def rebuild(data):
     """Let the tables follow from changed samples."""
-    data |= {key: value for key, value in Results.from_dict(data).to_dict().items() if key in ("records", "tracks")}
+    data["records"] = Results.from_dict(data).to_dict()["records"]
 
 
 def swap(data, other="oracle"):
@@ -117,6 +117,17 @@ def without_bad_episodes(data):
     rebuild(data)
 
 
+def repeat_training_seed(data):
+    """Five copies of one training seed have a short interval."""
+    sources = of_policy(data, "mine")["training_seeds"]
+    sources *= 5
+    for kind in ("samples", "timings"):
+        for policies in data[kind].values():
+            for values in policies["mine"].values():
+                values.extend(values * 4)
+    rebuild(data)
+
+
 def hide_as_not_applicable(data):
     data["not_applicable"].append({"track": "ring", "policy": "grounded", "reason": "it is too good"})
 
@@ -151,6 +162,12 @@ FORGERIES = {
     "n/a without a reason": (lambda data: data["not_applicable"][0].update(reason=""), "has no numbers and no reason"),
     "n/a twice": (lambda data: data["not_applicable"].append(data["not_applicable"][0]), "not_applicable is"),
     "an empty track in samples": (lambda data: data["samples"].update(ghost={}), "samples ghost is of nothing"),
+    "the same training seed twice": (
+        repeat_training_seed,
+        "training seeds of policy mine are the same policy",
+    ),
+    "versions that are none": (lambda data: data.update(versions=5), "versions is 5"),
+    "no arithmetic": (lambda data: data.pop("arithmetic"), "arithmetic is missing"),
     "an unknown key": (lambda data: data.update(score=12.0), "score is of nothing"),
     "no suite": (lambda data: data.update(suite=None), "suite is None, expected 'small-v1'"),
     "another name": (lambda data: data.update(name="ptne-v2"), "name is 'ptne-v2', expected 'small-v1'"),
@@ -256,14 +273,14 @@ def test_numbers_of_another_policy_are_found_by_running_jobs_again(written):
 )
 def test_a_failure_or_a_refusal_that_does_not_repeat_is_reported(written, kind, reason):
     def change(data):
-        for track in ("ring", "complete"):
-            del data["samples"][track]["grounded"], data["timings"][track]["grounded"]
-            data[kind].append({"track": track, "policy": "grounded", "reason": reason})
-        data["records"] = [one for one in data["records"] if one["policy"] != "grounded"]
+        del data["samples"]["ring"]["grounded"], data["timings"]["ring"]["grounded"]
+        data[kind].append({"track": "ring", "policy": "grounded", "reason": reason})
+        rebuild(data)
 
-    outcome = verify(written(change))
-    assert outcome.differences == ()
-    assert {one.policy for one in outcome.repetitions if not one.agrees} == {"grounded"}
+    for seed in (1, 2, 3):  # whatever else is drawn
+        outcome = verify(written(change), sample=1, seed=seed)
+        assert outcome.differences == ()
+        assert [(one.track, one.policy) for one in outcome.repetitions if not one.agrees] == [("ring", "grounded")]
 
 
 def declare_another_machine(data):
@@ -312,6 +329,17 @@ def test_on_another_machine_numbers_of_other_episodes_do_not_agree(written):
         for track in ("ring", "complete"):
             samples_of(data, track=track)["digits"] = [sorted(*samples_of(data, track=track)["digits"])]
         swap(data, "contact-relay")
+        declare_another_machine(data)
+
+    assert {one.policy for one in verify(written(forge)).repetitions if not one.agrees} == {"grounded"}
+
+
+def test_another_machine_does_not_halve_distances(written):
+    def forge(data):
+        for track in ("ring", "complete"):
+            (distances,) = samples_of(data, track=track)["strategy_distance"]
+            samples_of(data, track=track)["strategy_distance"] = [[value / 2 for value in distances]]
+        rebuild(data)
         declare_another_machine(data)
 
     assert {one.policy for one in verify(written(forge)).repetitions if not one.agrees} == {"grounded"}

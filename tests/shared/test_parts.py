@@ -82,6 +82,13 @@ def test_missing_target_is_named(target, message):
     assert target in str(caught.value)
 
 
+def test_a_module_that_exits_is_an_error_and_no_end_of_the_program(tmp_path, monkeypatch):
+    (tmp_path / "exits_at_once.py").write_text("raise SystemExit(0)\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match="cannot import the module of part 'exits_at_once:thing'"):
+        resolve("exits_at_once:thing")
+
+
 def test_arguments_of_the_caller_are_named_too():
     with pytest.raises(ValueError, match=r"refuses its arguments \['layout'\]: .*no keyword arguments"):
         FactorySpec.of("builtins:range").build(layout=5)
