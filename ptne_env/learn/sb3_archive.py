@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 
 from ptne_env.perception.fields import LOG_SCALE_UNIT, SMALLEST_SCALE
 from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
 from ptne_env.perception.policy import NetworkPolicy, Policy, PolicyFileError
-from ptne_env.shared.arrays import BoolArray
 from ptne_env.shared.files import require_file
 
 
@@ -76,7 +74,7 @@ def as_trained(model: Any) -> Policy:
         LayoutError: when the model was trained on normalised observations, and has no statistics of them.
     """
     if (normaliser := getattr(model, "get_vec_normalize_env", lambda: None)()) is not None:
-        return _Normalised(model, normaliser)
+        return NetworkPolicy(lambda rows, *others: model.predict(normaliser.normalize_obs(rows), *others))
     _require_raw(getattr(model, "observation_space", None), getattr(model, "_last_obs", None))
     policy: Policy = model
     return policy
@@ -107,22 +105,3 @@ def _require_raw(space: Any, last: Any) -> None:
         "not have; load it with them, and give the model: PPO.load('model.zip', env=VecNormalize.load('statistics.pkl'"
         ", PlayerVecEnv('random-energy')))"
     )
-
-
-class _Normalised:
-    """A model behind the statistics of its ``VecNormalize``, which its own ``predict`` leaves to the caller."""
-
-    def __init__(self, model: Any, normaliser: Any) -> None:
-        self._model, self._normaliser = model, normaliser
-
-    def predict(
-        self,
-        observation: npt.NDArray[np.float32],
-        state: Any = None,
-        episode_start: BoolArray | None = None,
-        deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
-    ) -> tuple[Any, Any]:
-        """Return the actions and the state that the model decides on."""
-        rows = self._normaliser.normalize_obs(observation)
-        answer: tuple[Any, Any] = self._model.predict(rows, state, episode_start, deterministic)
-        return answer
