@@ -237,15 +237,17 @@ class _Actor(nn.Module):
     def __init__(self, model: BaseAlgorithm) -> None:
         super().__init__()
         self.policy, self.normaliser = model.policy, model.get_vec_normalize_env()
+        if self.normaliser is not None and self.normaliser.norm_obs:
+            seen = cast("RunningMeanStd", self.normaliser.obs_rms)
+            self.mean = torch.Tensor(seen.mean)
+            self.deviation = torch.Tensor(np.sqrt(seen.var + self.normaliser.epsilon))
         box = cast("spaces.Box", model.action_space)
         self.low, self.high = torch.as_tensor(box.low), torch.as_tensor(box.high)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         if self.normaliser is not None and self.normaliser.norm_obs:
-            seen = cast("RunningMeanStd", self.normaliser.obs_rms)
-            deviation = np.sqrt(seen.var + self.normaliser.epsilon)
-            observations = (observations - torch.Tensor(seen.mean)) / torch.Tensor(deviation)
-            observations = observations.clamp(-self.normaliser.clip_obs, self.normaliser.clip_obs)
+            limit = self.normaliser.clip_obs
+            observations = ((observations - self.mean) / self.deviation).clamp(-limit, limit)
         # The means: torch would export all that a distribution computes beside them.
         policy: Any = self.policy
         if isinstance(policy, ActorCriticPolicy):
