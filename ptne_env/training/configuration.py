@@ -104,10 +104,6 @@ def _read_values(name: str) -> dict[str, Any]:
         raise DamagedFileError(f"{path} is not a TOML file: {error}") from error
 
 
-SUMMARY, CONFIGURATION = "summary.json", "configuration.json"
-"""The names of two files of a run."""
-
-
 def write_record(path: Path, record: Any) -> None:
     """Write a dataclass, such as the configuration or the summary of a run, as JSON."""
     write_atomically(path, json.dumps(dataclasses.asdict(record), indent=2) + "\n")
@@ -143,7 +139,7 @@ def read_finished_run(configuration: Any, out: Path, policy: str) -> RunSummary 
     Raises:
         ValueError: when the folder holds a run of another configuration.
     """
-    path = out / CONFIGURATION
+    path = out / "configuration.json"
     if not path.exists():
         return None
     theirs = read_json(path, "the configuration of a training run")
@@ -152,6 +148,7 @@ def read_finished_run(configuration: Any, out: Path, policy: str) -> RunSummary 
     if different:
         differences = ", ".join(f"{name} is {theirs.get(name)} there and {mine.get(name)} here" for name in different)
         raise ValueError(f"{out} holds another run: {differences}; choose another folder, or remove this one")
-    if not ((out / SUMMARY).exists() and (out / policy).exists()):
+    summary = out / "summary.json"
+    if not (summary.exists() and (out / policy).exists()):
         return None
-    return RunSummary(**read_json(out / SUMMARY, "the summary of a training run"))
+    return RunSummary(**read_json(summary, "the summary of a training run"))

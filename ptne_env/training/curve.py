@@ -33,12 +33,7 @@ def read_learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def evaluate_laws(scenario: Scenario, episodes: int = 20) -> Results:
-    """Evaluate the laws on validation episodes.
-
-    Args:
-        scenario: the scenario of the training.
-        episodes: the number of episodes.
-    """
+    """Evaluate the laws on validation episodes of the scenario of a training."""
     laws = [name for name in COMPARED if POLICIES[name].is_law]
     return evaluate(laws, [scenario], episodes=episodes, split="validation")
 

@@ -15,7 +15,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import monotonic
 from typing import TYPE_CHECKING, Any, cast
 
@@ -32,20 +31,12 @@ from torch import nn
 from ptne_env._version import __version__
 from ptne_env.envs.sb3 import PlayerVecEnv
 from ptne_env.evaluation import PolicySpec, evaluate
-from ptne_env.learn import load
 from ptne_env.learn.onnx_policy import Metadata, open_policy, seal
 from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.files import require_file, write_atomically
 from ptne_env.suites import find_scenario
-from ptne_env.training.configuration import (
-    CONFIGURATION,
-    SUMMARY,
-    Configuration,
-    RunSummary,
-    read_finished_run,
-    write_record,
-)
+from ptne_env.training.configuration import Configuration, RunSummary, read_finished_run, write_record
 from ptne_env.world.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -67,9 +58,6 @@ EVALUATIONS = 10
 
 GAMES, VALIDATION_EPISODES = 20, 200
 """The games of an evaluation, and the episodes on which the exported policy is validated."""
-
-_CHECKPOINTS = "checkpoints"
-_EVALUATION_SEED = 1_000_000
 
 
 def train(configuration: Configuration, out: Path, progress: Progress | None = None) -> RunSummary:
@@ -96,13 +84,13 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     scenario = find_scenario(configuration.scenario)
     env = PlayerVecEnv(scenario, configuration.envs)
     model = PPO("MlpPolicy", env, **ppo_arguments(configuration, env.num_envs))
-    checkpoints = out / _CHECKPOINTS
+    checkpoints = out / "checkpoints"
     model.num_timesteps = resumed_at = _restore(model, checkpoints)
-    write_record(out / CONFIGURATION, configuration)
+    write_record(out / "configuration.json", configuration)
     rollouts = -(-configuration.steps // (configuration.rollout * env.num_envs))  # the last one is a whole one
     calls = -(-rollouts * configuration.rollout // EVALUATIONS)  # steps of all environments together
     evaluation = EvalCallback(
-        PlayerVecEnv(scenario, GAMES, seed=_EVALUATION_SEED),
+        PlayerVecEnv(scenario, GAMES, seed=1_000_000),
         n_eval_episodes=GAMES * env.layout.num_players,
         eval_freq=calls,
         log_path=str(out),
@@ -116,7 +104,7 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     digits = _validate(exported, scenario)
     write_atomically(out / POLICY, exported)
     summary = RunSummary(model.num_timesteps, resumed_at, monotonic() - began, digits)
-    write_record(out / SUMMARY, summary)
+    write_record(out / "summary.json", summary)
     return summary
 
 
@@ -164,11 +152,8 @@ def _validate(exported: bytes, scenario: Scenario) -> float:
     Raises:
         ValueError: when the policy fails there, with the reason.
     """
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / POLICY
-        file.write_bytes(exported)
-        policy = load(file)
-    results = evaluate([PolicySpec("ppo", policy)], [scenario], episodes=VALIDATION_EPISODES, split="validation")
+    policy = PolicySpec("ppo", open_policy(Path(POLICY), exported))
+    results = evaluate([policy], [scenario], episodes=VALIDATION_EPISODES, split="validation")
     for reason in results.failures.values():
         raise ValueError(f"the trained policy fails on {scenario.name!r}: {reason}")
     return float(np.mean(results.samples[scenario.name, "ppo"]["digits"]))

@@ -43,7 +43,7 @@ from ptne_env.learn.recurrent import (
 from ptne_env.shared.arrays import require_count, require_positive, require_probability, without_gradient
 from ptne_env.shared.files import read_file, write_atomically
 from ptne_env.suites.suite import find_scenario
-from ptne_env.training.configuration import CONFIGURATION, SUMMARY, RunSummary, read_finished_run, write_record
+from ptne_env.training.configuration import RunSummary, read_finished_run, write_record
 from ptne_env.world import distances
 
 POLICY = "policy.npz"
@@ -247,7 +247,7 @@ def train(
     memory, curve = optimiser.init(weights), np.zeros((0, 2))
     key = jax.random.fold_in(jax.random.key(settings.seed), resumed_at)
     lessons = [Lesson(track, settings, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
-    write_record(out / CONFIGURATION, settings)
+    write_record(out / "configuration.json", settings)
     judged = 0  # updates of the curve
     with ThreadPoolExecutor(2) as side_by_side:
         for done in range(resumed_at + 1, settings.updates + 1):
@@ -263,12 +263,8 @@ def train(
                 recent, judged = float(curve[judged:, 1].mean()), len(curve)
                 best, reached = (mean, recent) if recent >= reached else (best, reached)
             if monotonic() - saved > 60 or done == settings.updates:
-                training = {
-                    "done": done,
-                    "agent_steps": steps,
-                    "digits": reached,
-                    "worlds": [each.name for each in tracks],
-                }
+                worlds = [track.name for track in tracks]
+                training = {"done": done, "agent_steps": steps, "digits": reached, "worlds": worlds}
                 write_atomically(out / POLICY, seal(best if judged else mean, asdict(settings) | training))
                 saved = monotonic()
     if not len(curve):  # no episode has ended
@@ -278,7 +274,7 @@ def train(
     np.savez(buffer, timesteps=[part[:, 0].mean() for part in parts], results=[part[:, 1:].mean(0) for part in parts])
     write_atomically(out / "evaluations.npz", buffer.getvalue())
     summary = RunSummary(steps, resumed_at, monotonic() - began, _late_digits(curve))
-    write_record(out / SUMMARY, summary)
+    write_record(out / "summary.json", summary)
     return summary
 
 

@@ -9,8 +9,8 @@ from small_suite import BASE, COMPLETE
 from ptne_env import FactorySpec, PolicySpec, laws, parallel_env
 from ptne_env.evaluation import METRICS, EpisodeSet, Metric, Track, get_policy_spec, register
 from ptne_env.evaluation.comparison import Job
-from ptne_env.execution import store
-from ptne_env.execution.store import content_of, key_of
+from ptne_env.execution import runner
+from ptne_env.execution.runner import content_of, key_of
 from ptne_env.learn import shipped_path
 
 JOB = Job(Track("ring", BASE, "The base."), get_policy_spec("static"), 0, EpisodeSet(3, 0, "test", ("small", "ring")))
@@ -49,7 +49,7 @@ def test_a_key_depends_on_the_physics_and_on_the_content_of_a_policy_file(monkey
     path.write_bytes(content)
     job = replace(JOB, policy=get_policy_spec(str(path)))
     keys.add(key_of(job))
-    monkeypatch.setattr(store, "PHYSICS", -1)
+    monkeypatch.setattr(runner, "PHYSICS", -1)
     keys.add(key_of(job))
     path.write_bytes(content + b"\0")
     keys.add(key_of(job))

@@ -13,7 +13,7 @@ from ptne_env.evaluation import METRICS, EpisodeSet, Metric, Track, get_policy_s
 from ptne_env.evaluation.comparison import Job, JobResult
 from ptne_env.evaluation.provenance import content_hash
 from ptne_env.execution import Runner
-from ptne_env.execution.store import Store, key_of
+from ptne_env.execution.runner import Store, key_of
 from ptne_env.suites import run_suite
 
 JOB = Job(Track("ring", BASE, "The base."), get_policy_spec("static"), 0, EpisodeSet(4))

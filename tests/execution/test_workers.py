@@ -17,8 +17,7 @@ from small_suite import SMALL, stored, untimed
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.evaluation.comparison import Job
 from ptne_env.execution import Runner, Workers
-from ptne_env.execution.runner import _run_job
-from ptne_env.execution.store import key_of
+from ptne_env.execution.runner import _run_job, key_of
 from ptne_env.suites import run_suite
 
 
