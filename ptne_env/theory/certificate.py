@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,15 +31,6 @@ from ptne_env.world import distances
 from ptne_env.world.channels import Chain
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import RANGE_LIMIT, SHORTFALL_WARNING, World
-
-_MOST_DIGITS = 308.0
-"""Largest size of predicted digits, so that a certificate holds no infinity."""
-
-_ROUNDINGS = 4
-"""Number of starts that are moved at random, to see whether rounding shows."""
-
-_TOLERANCE = 5e-4
-"""Difference between the digits of an episode and exact ones that counts as none."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +66,7 @@ class Certificate:
     assumptions: tuple[AssumptionCheck, ...]
     condition: Condition | None
     shortfall: float
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     clock: LoopClock | None = None
     rate: float | None = None
     digits: float | None = None
@@ -122,7 +112,6 @@ def certify(scenario: Scenario, law: str | FactorySpec | PolicySpec | type[Law] 
         assumptions=check_assumptions(world, constants),
         condition=condition(built, constants),
         shortfall=world.clock.shortfall,
-        notes=(),
     )
     try:
         loop = sampled_loop(world, built)
@@ -135,7 +124,7 @@ def certify(scenario: Scenario, law: str | FactorySpec | PolicySpec | type[Law] 
         clock=loop.clock,
         rate=prediction.rate,
         digits=prediction.digits,
-        digits_are_exact=prediction.digits_are_exact,
+        digits_are_exact=prediction.is_linear and not (world.is_random or _faults(world) or prediction.deviations),
         largest_step=loop.largest_step,
         largest_stable_step=loop.largest_stable_step,
         notes=(*prediction.notes(), *_scenario_notes(world, covers_range=prediction.is_linear)),
@@ -183,39 +172,29 @@ class _Prediction:
 
     def __init__(self, world: World, law: Law, loop: SampledLoop) -> None:
         self.world, self.law, self.loop = world, law, loop
-        game = world.game
-        estimates = world.start.draw(game.num_players, game.dimension, np.random.default_rng(0))
+        game, topology, stable = world.game, world.topology, loop.largest_stable_step
+        self.amplifies = stable is not None and loop.largest_step >= stable  # errors, and so what is rounded
+        self.rate: float | None = None
+        if not topology.is_random:
+            self.rate = decay_rate(loop.matrices, topology, world.scenario.deadline, loop.clock)
         self.is_linear = game.is_affine and not game.has_bounds and not law.has_memory
-        self.path = np.zeros((0, 0))  # **x** − 1⊗x* at every instant, shape (K+1, Nn)
+        self.digits: float | None = None
+        self.deviations: tuple[str, ...] = ()
         if self.is_linear:
-            self.path = loop.errors((estimates.T - game.nash_equilibrium).ravel())
+            estimates = world.start.draw(game.num_players, game.dimension, np.random.default_rng(0))
+            errors = loop.errors((estimates.T - game.nash_equilibrium).ravel())
+            # A certificate holds no infinity.
+            self.digits = float(-np.log10(np.clip(distance(errors[-1], game), 1e-308, 1e308)))
+            self.deviations = tuple(self._find_deviations(errors))
 
-    @property
-    def rate(self) -> float | None:
-        loop, topology = self.loop, self.world.topology
-        if topology.is_random:
-            return None
-        return decay_rate(loop.matrices, topology, self.world.scenario.deadline, loop.clock)
-
-    @property
-    def digits(self) -> float | None:
-        if not self.is_linear:
-            return None
-        error = np.clip(distance(self.path[-1], self.world.game), 10.0**-_MOST_DIGITS, 10.0**_MOST_DIGITS)
-        return float(-np.log10(error))
-
-    @cached_property
-    def deviations(self) -> tuple[str, ...]:
-        """Why an episode may have other digits than the linear loop, apart from what disturbs it."""
-        return tuple(self._find_deviations())
-
-    def _find_deviations(self) -> Iterator[str]:
+    def _find_deviations(self, errors: FloatArray) -> Iterator[str]:
+        """Yield why an episode may have other digits than the linear loop, apart from what disturbs it."""
         world, layout, game = self.world, self.law.layout, self.world.game
-        path = self.path[np.isfinite(self.path).all(axis=1)]
+        path = errors[np.isfinite(errors).all(axis=1)]
         inputs = np.diff(path, axis=0) / world.clock.theta[: len(path) - 1, None]
         estimates = path.reshape(-1, game.num_players, game.dimension).T + game.nash_equilibria[:, None]
         reach, peak = float(np.abs(estimates).max()), float(np.abs(inputs).max(initial=0.0))
-        if len(path) < len(self.path):
+        if len(path) < len(errors):
             yield "the sampled loop diverges from this start before T: the steps are too long for the law"
         elif self.amplifies or self._is_rounded(path):
             yield "rounding shows at T: the digits are those of exact arithmetic, and an episode may have others"
@@ -232,12 +211,6 @@ class _Prediction:
         if world.topology.is_random:
             yield "the topology is random: no rate, and digits of one draw, with seed 0"
 
-    @property
-    def amplifies(self) -> bool:
-        """Whether a step amplifies errors, and so what is rounded."""
-        stable = self.loop.largest_stable_step
-        return stable is not None and self.loop.largest_step >= stable
-
     def _is_rounded(self, path: FloatArray) -> bool:
         """Return whether rounding to float32 may change the digits at T, as moving the start by more than that does.
 
@@ -245,14 +218,9 @@ class _Prediction:
         """
         start = path[0]
         size = 2.0**-20 * np.abs(start).max()
-        moves = np.random.default_rng(0).uniform(-size, size, (_ROUNDINGS, start.size))
+        moves = np.random.default_rng(0).uniform(-size, size, (4, start.size))
         ends = distance(np.array([path[-1], *(self.loop.errors(start + move)[-1] for move in moves)]), self.world.game)
-        return not np.ptp(distances.digits(ends)) <= _TOLERANCE  # also where they overflow
-
-    @property
-    def digits_are_exact(self) -> bool:
-        is_certain = not self.world.is_random and not _faults(self.world)
-        return self.is_linear and is_certain and not self.deviations
+        return not np.ptp(distances.digits(ends)) <= 5e-4  # also where they overflow
 
     def notes(self) -> Iterator[str]:
         """Return the limits of these numbers."""
@@ -264,7 +232,7 @@ class _Prediction:
                 "F is not affine, or a box confines the strategies: rate and largest stable step are those of the "
                 "linearisation at x*, of the components that no bound holds; no digits"
             )
-        yield from self.deviations if self.is_linear else ()
+        yield from self.deviations
         if self.amplifies:
             yield "the largest step amplifies errors: it is longer than the largest stable one"
         if not topology.is_fixed and not topology.is_random:
