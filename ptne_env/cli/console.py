@@ -20,15 +20,6 @@ from rich.text import Text
 
 from ptne_env.shared.files import require_writable, write_atomically
 
-_PIPE_WIDTH = 172
-"""Width of tables where the output is no terminal and ``COLUMNS`` is not set; rich would cut them to 80 columns."""
-
-_BLANKS = "\n\N{NO-BREAK SPACE}"
-"""Characters that are written although Python does not call them printable."""
-
-_SPEED_PERIOD = 600.0
-"""Seconds over which a bar measures its speed; with fewer than two steps in this time it shows no remaining time."""
-
 STDOUT = "-"
 """The value of ``--json`` for stdout."""
 
@@ -64,7 +55,7 @@ def _printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(
-        char if char.isprintable() or char in _BLANKS else char.encode("unicode_escape").decode("ascii")
+        char if char.isprintable() or char in "\n\N{NO-BREAK SPACE}" else char.encode("unicode_escape").decode("ascii")
         for char in text
     )
 
@@ -81,7 +72,7 @@ def console(*, stderr: bool = False) -> Console:
     stream = sys.stderr if stderr else sys.stdout
     return _PrintableConsole(
         stderr=stderr,
-        width=None if stream.isatty() or "COLUMNS" in os.environ else _PIPE_WIDTH,
+        width=None if stream.isatty() or "COLUMNS" in os.environ else 172,  # rich would cut tables to 80 columns
         quiet=not stderr and (output.quiet or output.stdout is not None),
         color_system=None if os.environ.get("NO_COLOR") else "auto",  # rich alone would still write bold and dim
     )
@@ -104,7 +95,7 @@ def progress(description: str, total: int | None = None) -> Iterator[Callable[..
         transient=True,
         expand=True,
         disable=output.quiet or not sys.stderr.isatty(),
-        speed_estimate_period=_SPEED_PERIOD,
+        speed_estimate_period=600,  # with fewer than two steps in this time it shows no remaining time
     ) as bar:
         task = bar.add_task(description, total=total)
 

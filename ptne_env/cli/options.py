@@ -66,13 +66,7 @@ SetOption: TypeAlias = Annotated[
 def read_scenario(name: str, changes: Iterable[str] | None, *, trust: bool) -> Scenario:
     """Return a scenario by name with the fields of ``--set``, which its new name tells too.
 
-    Args:
-        name: the name of a scenario or track, or ``"module:object"``.
-        changes: texts ``FIELD=VALUE``, whose values are JSON, or else texts.
-        trust: whether code from outside the library may run.
-
-    Raises:
-        ValueError: for a change of another form, an unknown field, or code that is not trusted.
+    Changes are ``FIELD=VALUE``, where a value is JSON, or else a text.
     """
     values: dict[str, Any] = {}
     for change in changes or ():
@@ -90,12 +84,9 @@ def read_scenario(name: str, changes: Iterable[str] | None, *, trust: bool) -> S
 
 
 def foreign_names(*names: str | None) -> list[str]:
-    """Return the names that run code from outside the library, without importing anything.
+    """Return the names, as commands take them, that run code from outside the library, without importing anything.
 
-    They are each ``"module:object"`` and each archive.
-
-    Args:
-        names: the names of policies, scenarios, suites and tracks (``"module:object/track"``), as commands take them.
+    They are each ``"module:object"`` (with tracks, ``"module:object/track"``) and each archive.
     """
     foreign = []
     for name in filter(None, names):
@@ -112,10 +103,6 @@ def require_trust(foreign: Iterable[str], *, trust: bool) -> bool:
     """Return whether code from outside the library may run, after asking the user where there is no ``--trust``.
 
     If it may, ``module:object`` also finds files of the current folder, after all others.
-
-    Args:
-        foreign: each ``module:object`` and each file with such code.
-        trust: the value of ``--trust``.
 
     Raises:
         ValueError: when there is such code, no ``--trust`` and no terminal on which to ask.

@@ -49,11 +49,6 @@ EPISODES = 20
 MOST_DIGITS = round(-math.log10(distances.FLOOR))
 """The right end of the dot plot, at which longer intervals are cut."""
 
-_QUESTION = (
-    "Which policy brings the estimates of all players closest to the Nash equilibrium by the deadline, using only "
-    "information that players have, and does it beat the paper's law?"
-)
-
 
 @dataclass(frozen=True)
 class DotPlot:
@@ -83,17 +78,9 @@ class DotPlot:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a page.
+    """A section of a page: a paragraph, tables, a chart of the errors of a scene by name, names and values, the player.
 
-    Attributes:
-        title: its heading.
-        text: a paragraph below the heading.
-        tables: the tables below the text.
-        scene: the name of the scene whose errors a chart shows.
-        caption: the caption of the chart.
-        facts: names and values.
-        has_player: whether the player of the page stands here.
-        is_folded: whether a click on the heading shows the rest.
+    Where ``is_folded``, a click on the heading shows them.
     """
 
     title: str
@@ -101,7 +88,7 @@ class Section:
     tables: tuple[Table, ...] = ()
     scene: str = ""
     caption: str = ""
-    facts: tuple[tuple[str, str], ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
     has_player: bool = False
     is_folded: bool = False
 
@@ -172,7 +159,7 @@ def results_page(
     scenes = {track.name: drawn[index] for index, track in enumerate(results.tracks)}
     board = leaderboard_table(results)
     facts = {
-        "command": command,
+        **({"command": command} if command else {}),
         "suite": results.name,
         "seed": str(results.seed),
         "split": results.split,
@@ -185,7 +172,8 @@ def results_page(
         where = f"{len(names)} tracks of {results.name}" if len(names) > 2 else f"{where} of {results.name}"
     return Page(
         title=f"{join_words(order_policies(results), most=3)} on {where}",
-        question=_QUESTION,
+        question="Which policy brings the estimates of all players closest to the Nash equilibrium by the deadline, "
+        "using only information that players have, and does it beat the paper's law?",
         answer=answer(results),
         dots=_dot_plot(results),
         sections=(
@@ -208,7 +196,7 @@ def results_page(
             ),
             Section("Tracks", "Every metric, and the error over time. Brackets are 95 % intervals."),
             *(_track_section(results, track, scenes[track.name].episodes) for track in results.tracks),
-            Section("Reproduce", facts=tuple((name, value) for name, value in facts.items() if value)),
+            Section("Reproduce", facts=facts),
         ),
         scenes=scenes,
     ).to_html()

@@ -21,9 +21,6 @@ _HEADING_WIDTH, _WORD_WIDTH = 11, 15
 """Lengths of the lines into which headings, and long words in them, are broken: 80 columns then have room for the names
 of the tracks of ptne-v1 and four policies."""
 
-_TEXT_WIDTH = 100
-"""Length of the lines of sentences."""
-
 _TEXT_COLUMN = 24
 """Largest room that a column of words asks for; rich wraps the words."""
 
@@ -32,12 +29,9 @@ _STYLES = {"holds": "green", "agree": "green", "reproduces": "green", "fails": "
 
 
 def draw_table(table: Table, width: int, *, whole: bool = True) -> Group:
-    """Return a table in as many pieces, one below the other, as the width demands.
+    """Return a table in as many pieces, one below the other, as a terminal of ``width`` columns demands.
 
-    Args:
-        table: the table.
-        width: the number of columns of the terminal.
-        whole: whether the columns that find no room follow in further pieces; otherwise they are named in a note.
+    Unless it is ``whole``, there is one piece, and a note names the columns that find no room in it.
     """
     names = {row: textwrap.fill(row, _NAME_WIDTH) for row in table.rows}
     room = width - max((cell_len(line) for name in names.values() for line in name.splitlines()), default=0) - 2
@@ -90,7 +84,7 @@ def answer_tables(results: Results, width: int) -> Group:
 
     Policies that find no room are named below the table, but the paper's law always finds room.
     """
-    sentences = (Text(textwrap.fill(sentence, min(width, _TEXT_WIDTH))) for sentence in answer(results))
+    sentences = (Text(textwrap.fill(sentence, min(width, 100))) for sentence in answer(results))
     return Group(draw_table(answer_table(results), width, whole=False), *sentences, Text())
 
 

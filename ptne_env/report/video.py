@@ -16,7 +16,7 @@ from ptne_env.evaluation.rollout import rollout
 from ptne_env.perception.encoder import Encoder
 from ptne_env.report.page import Page, Section
 from ptne_env.report.traces import make_scene
-from ptne_env.shared.arrays import FloatArray, require_count
+from ptne_env.shared.arrays import require_count
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.style import delay_ctrl_c
 from ptne_env.world.dynamics import State
@@ -76,11 +76,7 @@ def _draw_pictures(
     """Yield ``count`` pictures of an episode, uint8 arrays of shape (height, width, 3)."""
     encoder = Encoder(world, spec.interface)
     states: list[State] = []
-
-    def keep(state: State, _: FloatArray | None) -> None:
-        states.append(state)
-
-    rollout(spec.build(encoder.layout), encoder, start, watch=keep)
+    rollout(spec.build(encoder.layout), encoder, start, watch=lambda state, _: states.append(state))
     wanted = np.unique(np.linspace(0, len(states) - 1, count).round().astype(int)).tolist()
     renderer = Renderer(world, "rgb_array", f"{world.scenario.name}: {spec.name}")
     renderer.fix_axes(states)

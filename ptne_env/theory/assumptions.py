@@ -27,9 +27,6 @@ _GRID = freeze(np.linspace(0.0, 6.0, 2001))
 _LIMIT_TOLERANCE = 1e-4
 """Fraction of T below which a limit counts as 0."""
 
-_RADII = np.array([1e2, 1e3, 1e4])
-"""Distances along a ray at which a cost must have grown."""
-
 
 class LemmaViolationError(ValueError):
     """A time transformation violates a condition of Lemma 1."""
@@ -55,12 +52,7 @@ class AssumptionCheck:
 
 
 def check_assumptions(world: World, constants: MonotonicityConstants) -> tuple[AssumptionCheck, ...]:
-    """Check Lemma 1 on λ, and Assumptions 1–4 on the graphs and the game; of a family, on its representative.
-
-    Args:
-        world: the scenario, built.
-        constants: the constants of its game.
-    """
+    """Check Lemma 1 on λ, and Assumptions 1–4 on the graphs and the game; of a family, on its representative."""
     topology = world.topology
     smallest = min(graph.algebraic_connectivity for graph in topology.graphs)
     joint = topology.union.algebraic_connectivity
@@ -99,12 +91,12 @@ def _holds(is_met: bool) -> Verdict:  # noqa: FBT001
 
 
 def _check_lemma(world: World) -> AssumptionCheck:
-    statement = "λ is strictly increasing, λ → T, λ' → 0"
+    statement, meaning = "λ is strictly increasing, λ → T, λ' → 0", "limit of 1 − λ/T"
     try:
         remaining = check_time_transformation(world.clock.transformation)
     except LemmaViolationError as error:
-        return AssumptionCheck("Lemma 1", f"{statement} ({error})", None, "limit of 1 − λ/T", "fails")
-    return AssumptionCheck("Lemma 1", statement, remaining, "limit of 1 − λ/T", "holds")
+        return AssumptionCheck("Lemma 1", f"{statement} ({error})", None, meaning, "fails")
+    return AssumptionCheck("Lemma 1", statement, remaining, meaning, "holds")
 
 
 def _judge_convexity(game: Game) -> tuple[float, str, Verdict]:
@@ -316,7 +308,7 @@ def _grows_along_rays(game: Game, points: FloatArray, player: int, block: BoolAr
             ray = np.where(np.where(ray < 0, low[block], high[block]) * np.sign(ray) == np.inf, ray, 0.0)
             ray = ray / np.maximum(np.linalg.norm(ray, axis=0), 1e-300)
         leaves = np.any(ray != 0, axis=0)
-        costs = [_cost_on_ray(game, points, player, block, ray, radius)[leaves] for radius in _RADII]
+        costs = [_cost_on_ray(game, points, player, block, ray, radius)[leaves] for radius in (1e2, 1e3, 1e4)]
         grows &= all(bool(np.all(far >= near)) for near, far in pairwise(costs))
         grows &= bool(np.all(costs[-1] > _cost_on_ray(game, points, player, block, ray, 0.0)[leaves]))
     return grows

@@ -31,9 +31,6 @@ from ptne_env.world.world import World
 LoopClock: TypeAlias = Literal["effective", "physical"]
 """The time in which the loop of a law is dx = −M x: τ, or t for a law without the time gain."""
 
-_OVERFLOW = 1e150
-"""Error beyond which a loop counts as diverged; its squares would overflow."""
-
 
 class NoClosedLoopError(ValueError):
     """A law is not of the form that has a closed loop dx/dτ = −M (x − 1⊗x*)."""
@@ -259,18 +256,14 @@ class SampledLoop:
         result[0] = start
         for k, (mode, step) in enumerate(zip(self.modes, self.steps, strict=True)):
             result[k + 1] = result[k] - step * (self.matrices[mode] @ result[k])
-            if not np.all(np.abs(result[k + 1]) < _OVERFLOW):
+            if not np.all(np.abs(result[k + 1]) < 1e150):  # squares of larger errors would overflow
                 result[k + 1] = np.inf
                 break
         return result
 
 
 def sampled_loop(world: World, law: Law) -> SampledLoop:
-    """Return the loop of ``law`` in ``world``; in a world of random games, on its typical game.
-
-    Args:
-        world: the scenario, built.
-        law: built for the layout of the world; :func:`law_matrix` says which laws have a loop.
+    """Return the loop of a law, built for the layout of the world; in a world of random games, on its typical game.
 
     Raises:
         NoClosedLoopError: as :func:`law_matrix`, and for a law that reads the length of its step for more than to undo

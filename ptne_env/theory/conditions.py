@@ -78,10 +78,6 @@ def _fixed_graph(constants: ProblemConstants) -> Condition:
     return Condition.below("the graph is fixed: number of graphs < 2", len(constants.graphs), 2)
 
 
-def _connected_modes(constants: ProblemConstants) -> Condition:
-    return Condition.above("every mode is connected: λ2 > 0", constants.connectivity, 0.0)
-
-
 def _all_links_recur(constants: ProblemConstants) -> Condition:
     name = "all links recur as s → ∞: smallest number of recurring links > all links − 1"
     recurring = min(len(graph.edges) for graph in constants.recurring)
@@ -109,7 +105,8 @@ def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
 
     Joint connectivity, as in Theorem 4, is not enough (docs/errata.md, 2).
     """
-    return decisive(_adapting_gains(law), _connected_modes(constants), _strongly_monotone(constants))
+    connected = Condition.above("every mode is connected: λ2 > 0", constants.connectivity, 0.0)
+    return decisive(_adapting_gains(law), connected, _strongly_monotone(constants))
 
 
 def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
@@ -172,7 +169,7 @@ def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Conditi
     if together.is_connected:
         hops = shortest_path(together.adjacency, unweighted=True).astype(np.int64)
         delays = hops[np.ix_(constants.owners, constants.owners)]
-        radius = delayed_play_radius(constants.jacobian, delays, law.step)
+        radius = _delayed_play_radius(constants.jacobian, delays, law.step)
     name = "gradient play with delays settles: ρ < 1"
     settles = Condition.below(name, radius, 1.0, exact=constants.exact)
     return decisive(_fixed_graph(constants), _strongly_monotone(constants), settles)
@@ -221,12 +218,7 @@ CONDITIONS: dict[type[Law], Callable[[Any, ProblemConstants], Condition]] = {
 
 
 def condition(law: Law, constants: ProblemConstants) -> Condition | None:
-    """Return the condition of the theorem of a law, with the number that decides; ``None`` without a theorem.
-
-    Args:
-        law: built for the scenario.
-        constants: those of the scenario, see :func:`~ptne_env.theory.problem_constants`.
-    """
+    """Return the condition of the theorem of a law on the scenario for which it was built; ``None`` without one."""
     of_law = CONDITIONS.get(type(law))
     return None if of_law is None else of_law(law, constants)
 
@@ -234,17 +226,12 @@ def condition(law: Law, constants: ProblemConstants) -> Condition | None:
 # --- the loops of laws that copy -------------------------------------------------------------------------------------
 
 
-def delayed_play_radius(jacobian: FloatArray, delays: IntArray, step: float) -> float:
-    """Return the spectral radius of e_c(k+1) = e_c(k) − η Σ_b dF_cb e_b(k − d_cb).
+def _delayed_play_radius(jacobian: FloatArray, delays: IntArray, step: float) -> float:
+    """Return the spectral radius of e_c(k+1) = e_c(k) − η Σ_b dF_cb e_b(k − d_cb), with delays d_cb in hops, (n, n).
 
     It is the loop of :class:`~ptne_env.laws.RoutedUnknown` on a fixed graph after the first steps, where no bound
     becomes or ceases to be active: below 1 exactly where the law settles. The estimates of the other players are late
     copies, which add zeros to the eigenvalues.
-
-    Args:
-        jacobian: dF, shape (n, n).
-        delays: d_cb, the hop count between the owners of the components c and b, shape (n, n).
-        step: η.
     """
     n, longest = len(jacobian), int(delays.max())
     matrix = np.eye(n * (longest + 1), k=-n)  # of (e(k), e(k−1), …)

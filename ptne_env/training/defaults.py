@@ -14,22 +14,14 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+_COMMON = {"gamma": 0.9, "learning_rate": 1e-3, "device": "cpu"}
+
 PPO: Mapping[str, Any] = MappingProxyType(
-    {
-        "n_steps": 50,
-        "batch_size": 1000,
-        "n_epochs": 5,
-        "gamma": 0.9,
-        "gae_lambda": 0.9,
-        "learning_rate": 1e-3,
-        "device": "cpu",
-    }
+    {**_COMMON, "n_steps": 50, "batch_size": 1000, "n_epochs": 5, "gae_lambda": 0.9}
 )
 """For about 32 environments; with B environments of N players a rollout has 50·B·N samples."""
 
-TD3: Mapping[str, Any] = MappingProxyType(
-    {"gamma": 0.9, "learning_rate": 1e-3, "learning_starts": 1000, "gradient_steps": 4, "device": "cpu"}
-)
+TD3: Mapping[str, Any] = MappingProxyType({**_COMMON, "learning_starts": 1000, "gradient_steps": 4})
 """For about 16 environments. Exploration is that of the first ``learning_starts`` agent-steps, which are random."""
 
 SAC: Mapping[str, Any] = MappingProxyType({**TD3, "ent_coef": "auto_0.001"})

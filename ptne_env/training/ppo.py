@@ -83,7 +83,7 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     torch.set_num_threads(1)  # the networks are small: a second thread costs more time than it saves
     scenario = find_scenario(configuration.scenario)
     env = PlayerVecEnv(scenario, configuration.envs)
-    model = PPO("MlpPolicy", env, **ppo_arguments(configuration, env.num_envs))
+    model = PPO("MlpPolicy", env, **_ppo_arguments(configuration, env.num_envs))
     checkpoints = out / "checkpoints"
     model.num_timesteps = resumed_at = _restore(model, checkpoints)
     write_record(out / "configuration.json", configuration)
@@ -108,12 +108,8 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     return summary
 
 
-def ppo_arguments(configuration: Configuration, members: int) -> dict[str, Any]:
-    """Return the keyword arguments of PPO for a ``VecEnv`` of ``members`` environments.
-
-    Raises:
-        ValueError: when a minibatch would hold one sample.
-    """
+def _ppo_arguments(configuration: Configuration, members: int) -> dict[str, Any]:
+    """Return the keyword arguments of PPO for a ``VecEnv`` of ``members`` environments."""
     samples = configuration.rollout * members
     if configuration.minibatches >= samples:
         raise ValueError(
@@ -147,11 +143,7 @@ def _restore(model: PPO, checkpoints: Path) -> int:
 
 
 def _validate(exported: bytes, scenario: Scenario) -> float:
-    """Return the mean digits of an exported policy on the validation episodes.
-
-    Raises:
-        ValueError: when the policy fails there, with the reason.
-    """
+    """Return the mean digits of an exported policy on the validation episodes."""
     policy = PolicySpec("ppo", open_policy(Path(POLICY), exported))
     results = evaluate([policy], [scenario], episodes=VALIDATION_EPISODES, split="validation")
     for reason in results.failures.values():
