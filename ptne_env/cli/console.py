@@ -26,13 +26,7 @@ STDOUT = "-"
 
 @dataclass
 class Output:
-    """Settings of the whole run.
-
-    Attributes:
-        quiet: whether nothing is printed but errors and requested JSON.
-        debug: whether an error shows its traceback.
-        stdout: the descriptor of the real stdout while it is kept for JSON; ``None`` at other times.
-    """
+    """Settings of the whole run; ``stdout`` is the descriptor of the real one while it is kept for JSON."""
 
     quiet: bool = False
     debug: bool = False

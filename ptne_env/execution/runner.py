@@ -20,9 +20,6 @@ from ptne_env.shared.files import DamagedFileError, read_json, require_writable,
 from ptne_env.shared.parts import foreign_targets
 from ptne_env.world.dynamics import PHYSICS
 
-_STEP_COST = 5_000
-"""Number of estimates whose update takes about as long as the rest of a step."""
-
 
 def content_of(job: Job) -> dict[str, Any]:
     """Return all that the numbers of a job depend on, as a JSON object. The names of policies are not part of it."""
@@ -159,9 +156,12 @@ class Runner:
 
 
 def cost_of(job: Job) -> int:
-    """Return a rough measure of the work of a job: the estimates in all steps and episodes, and more per step."""
+    """Return a rough measure of the work of a job: the estimates in all steps and episodes.
+
+    The rest of a step takes about as long as 5000 of them.
+    """
     game, clock = job.track.world.game, job.track.world.clock
-    return clock.total_steps * (game.dimension * game.num_players * job.episodes.count + _STEP_COST)
+    return clock.total_steps * (game.dimension * game.num_players * job.episodes.count + 5_000)
 
 
 def _run_job(job: Job, key: str | None, metrics: dict[str, Metric]) -> JobResult:

@@ -25,8 +25,6 @@ Result = TypeVar("Result")
 RETRIES = 3
 """Number of times that Ray runs a task again whose worker or machine died."""
 
-_LOST = "a worker process died, often for lack of memory (fewer jobs need less); stored results are kept"
-
 
 @dataclass(frozen=True)
 class Workers:
@@ -98,7 +96,9 @@ def _on_processes(
             for result in results:  # noqa: UP028 - yield from would close them before _end does
                 yield result
     except BrokenProcessPool as error:
-        raise ChildProcessError(_LOST) from error
+        raise ChildProcessError(
+            "a worker process died, often for lack of memory (fewer jobs need less); stored results are kept"
+        ) from error
     except PicklingError as error:
         *_, reason = str(error.__cause__ or error).strip(' \n"').splitlines()
         raise ValueError(
@@ -121,13 +121,13 @@ def _begin(parent: int, variables: dict[str, str]) -> None:
     """
     os.environ.update(variables)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
 
-def _watch(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(0.5)
-    os._exit(1)
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _end(results: Generator[Any, None, None]) -> None:

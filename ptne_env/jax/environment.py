@@ -28,9 +28,6 @@ from ptne_env.world.scenario import Scenario
 from ptne_env.world.starts import UniformStart
 from ptne_env.world.world import EpisodeRandomness, World
 
-_TABLES = ("mode_weights", "modes", "time_since_switch", "next_step", "is_last_step")
-"""The tables of a world that a step looks up by numbers that JAX knows only when it runs."""
-
 
 class JaxWorld:
     """B environments of a scenario as pure functions, which JAX compiles, maps, differentiates and scans.
@@ -70,7 +67,8 @@ class JaxWorld:
         self._encoder = Encoder(self.numpy, interface)
         self.layout = self._encoder.layout
         self._world = copy.copy(self.numpy)
-        for name in _TABLES:
+        # Tables that a step looks up by numbers that JAX knows only when it runs.
+        for name in ("mode_weights", "modes", "time_since_switch", "next_step", "is_last_step"):
             setattr(self._world, name, jnp.asarray(getattr(self._world, name)))
         self._world.clock = copy.copy(self._world.clock)
         for name in ("theta", "dt"):
@@ -205,11 +203,7 @@ class JaxWorld:
 
 
 def require_x64() -> None:
-    """Check that JAX computes in float64, as the dynamics need it; the setting is never changed.
-
-    Raises:
-        RuntimeError: saying what to set.
-    """
+    """Raise ``RuntimeError`` unless JAX computes in float64, as the dynamics need it; the setting is never changed."""
     if not jax.config.jax_enable_x64:
         raise RuntimeError(
             "the dynamics are float64, and JAX's 64-bit numbers are off: call "

@@ -17,9 +17,6 @@ from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import World
 
-_EQUILIBRIA = ("nash_equilibria", "equilibrium_scale")
-"""The cached properties of a game that are leaves: numpy computes them, once per game."""
-
 _STATE_LEAVES = tuple(name for name in State._fields if name != "any_diverged")
 
 
@@ -28,7 +25,7 @@ def register_game(kind: type[Game]) -> None:
 
     A single game, which all episodes play, has no leaves: its numbers are constants of compiled functions.
     """
-    leaves = (*kind.parameters, *_EQUILIBRIA)
+    leaves = (*kind.parameters, "nash_equilibria", "equilibrium_scale")  # numpy computes these two, once per game
     constants = [field.name for field in fields(kind) if field.name not in leaves]
 
     def flatten(game: Game) -> tuple[list[Any], Any]:

@@ -20,6 +20,7 @@ import numpy as np
 
 from ptne_env._version import __version__
 from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.metrics import MOST_DIGITS
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.results import SHOWN, Results
 from ptne_env.evaluation.statistics import Summary
@@ -40,23 +41,17 @@ from ptne_env.report.tables import (
 from ptne_env.report.traces import Scene, make_scene
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.style import COLOURS, DARK, LIGHT
-from ptne_env.world import distances
 from ptne_env.world.catalogue import DESCRIPTIONS
 
 EPISODES = 20
 """Largest number of episodes behind the errors over time; a track with fewer shows all of them."""
-
-MOST_DIGITS = round(-math.log10(distances.FLOOR))
-"""The right end of the dot plot, at which longer intervals are cut."""
 
 
 @dataclass(frozen=True)
 class DotPlot:
     """The digits of a few policies, a row per track, which the style sheet of the page draws without a script.
 
-    Attributes:
-        kinds: what each policy is, by name.
-        rows: the digits of these policies by track; a policy without a value has no dot.
+    ``kinds`` says what each policy is. A policy without a value on a track has no dot there.
     """
 
     kinds: Mapping[str, str]
@@ -68,7 +63,8 @@ class DotPlot:
         ends = [end for row in self.rows.values() for digits in row.values() for end in vars(digits).values()]
         low, high = math.floor(min([0.0, *filter(None, ends)])), math.ceil(max([1.0, *filter(None, ends)]))
         step = 1 if high - low <= 8 else 2
-        return list(range(step * math.floor(low / step), min(MOST_DIGITS, high + step - 1) + 1, step))
+        last = min(round(MOST_DIGITS), high + step - 1)  # longer intervals are cut there
+        return list(range(step * math.floor(low / step), last + 1, step))
 
     def place(self, value: float) -> str:
         """Return the place of a value in percent of the width."""

@@ -14,16 +14,6 @@ from rich.text import Text
 from ptne_env.evaluation.results import Results
 from ptne_env.report.tables import Column, Table, answer, answer_table, leaderboard_table, track_tables
 
-_NAME_WIDTH = 24
-"""Length of the lines into which names of rows are broken at hyphens."""
-
-_HEADING_WIDTH, _WORD_WIDTH = 11, 15
-"""Lengths of the lines into which headings, and long words in them, are broken: 80 columns then have room for the names
-of the tracks of ptne-v1 and four policies."""
-
-_TEXT_COLUMN = 24
-"""Largest room that a column of words asks for; rich wraps the words."""
-
 _STYLES = {"holds": "green", "agree": "green", "reproduces": "green", "fails": "red", "differs": "red"}
 """Colours of cells by their first word."""
 
@@ -33,7 +23,7 @@ def draw_table(table: Table, width: int, *, whole: bool = True) -> Group:
 
     Unless it is ``whole``, there is one piece, and a note names the columns that find no room in it.
     """
-    names = {row: textwrap.fill(row, _NAME_WIDTH) for row in table.rows}
+    names = {row: textwrap.fill(row, 24) for row in table.rows}
     room = width - max((cell_len(line) for name in names.values() for line in name.splitlines()), default=0) - 2
     pieces: list[list[Column]] = []
     left = 0
@@ -42,7 +32,7 @@ def draw_table(table: Table, width: int, *, whole: bool = True) -> Group:
         texts = [_break_heading(column), *(text for cell in cells for text in (cell.text, cell.interval))]
         needed = 3 + max(cell_len(line) for text in texts for line in text.splitlines())
         if any(cell.is_text for cell in cells):
-            needed = min(needed, _TEXT_COLUMN)
+            needed = min(needed, 24)  # rich wraps the words
         if needed > left or not pieces:
             pieces.append([])
             left = room
@@ -74,8 +64,11 @@ def _draw_piece(table: Table, names: dict[str, str], columns: list[Column]) -> R
 
 
 def _break_heading(column: Column) -> str:
-    """Return the label in lines, broken after blanks and signs within names, and where a word is too long."""
-    lines = re.findall(rf".{{1,{_HEADING_WIDTH}}}(?:(?<=[-_:./ ])|$)|\S{{1,{_WORD_WIDTH}}}\s?", column.label)
+    """Return the label in lines, broken after blanks and signs within names, and where a word is too long.
+
+    80 columns then have room for the names of the tracks of ptne-v1 and four policies.
+    """
+    lines = re.findall(r".{1,11}(?:(?<=[-_:./ ])|$)|\S{1,15}\s?", column.label)
     return "\n".join(line.strip() for line in lines)
 
 

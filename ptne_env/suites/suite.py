@@ -23,9 +23,6 @@ from ptne_env.world.scenario import Scenario
 ZERO, LAW, ORACLE = REFERENCES = "zero-input", "static", "oracle"
 """The reference policies that every run of a suite includes: zero input with score 0, the paper's law, an oracle."""
 
-EPISODES = 200
-"""Number of episodes of a track, unless the suite has another one."""
-
 
 @dataclass(frozen=True)
 class Suite:
@@ -42,7 +39,7 @@ class Suite:
 
     name: str
     tracks: tuple[Track, ...]
-    episodes: int = EPISODES
+    episodes: int = 200
 
     def __post_init__(self) -> None:
         require_count("a suite's number of episodes", self.episodes, 1)

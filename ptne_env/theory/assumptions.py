@@ -5,16 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import numpy as np
 import scipy
 
 from ptne_env.games import Game
-from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, freeze
+from ptne_env.shared.arrays import FloatArray, IntArray, freeze
 from ptne_env.theory.constants import SAMPLES, MonotonicityConstants, jacobian_at_equilibrium
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.world import World
@@ -220,11 +219,11 @@ def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int 
 
     convex, unbounded = [], []
     for player in range(game.num_players):
-        block = game.owners == player
-        direction = generator.normal(size=(game.action_dims[player], samples))
+        direction = np.zeros_like(points)
+        direction[game.owners == player] = generator.normal(size=(game.action_dims[player], samples))
         direction /= np.linalg.norm(direction, axis=0)
-        convex.append(_is_strictly_convex(game, points, player, block, direction))
-        unbounded.append(_grows_along_rays(game, points, player, block, direction))
+        convex.append(_is_strictly_convex(game, points, player, direction))
+        unbounded.append(_grows_along_rays(game, points, player, direction))
     equilibrium_error = None
     try:
         game.nash_equilibria  # noqa: B018 - solved and verified here
@@ -280,35 +279,29 @@ def _differentiate_costs(game: Game, points: FloatArray) -> FloatArray:
     )
 
 
-def _cost_on_ray(
-    game: Game, points: FloatArray, player: int, block: BoolArray, direction: FloatArray, distance: float
+def _costs_on_ray(
+    game: Game, points: FloatArray, player: int, ray: FloatArray, distances: Sequence[float]
 ) -> FloatArray:
-    """Return the player's cost after its strategy moved by this distance, shape (samples,)."""
-    moved = points.copy()
-    moved[block] = points[block] + distance * direction
+    """Return the player's costs after its strategy moved by these distances, shape (distances, samples)."""
     with np.errstate(over="ignore"):  # an exponential cost may overflow to +inf, which is growth
-        return game.costs(moved)[player]
+        return np.array([game.costs(points + distance * ray)[player] for distance in distances])
 
 
-def _is_strictly_convex(game: Game, points: FloatArray, player: int, block: BoolArray, direction: FloatArray) -> bool:
+def _is_strictly_convex(game: Game, points: FloatArray, player: int, direction: FloatArray) -> bool:
     if game.has_bounds:  # between two points of the box
-        direction = (np.roll(points[block], 1, axis=1) - points[block]) / 2
-        points = points.copy()
-        points[block] += direction
-    low, middle, high = (_cost_on_ray(game, points, player, block, direction, step) for step in (-1.0, 0.0, 1.0))
+        direction = np.where(direction != 0, np.roll(points, 1, axis=1) - points, 0.0) / 2
+        points = points + direction
+    low, middle, high = _costs_on_ray(game, points, player, direction, (-1.0, 0.0, 1.0))
     return bool(np.all(low + high - 2 * middle > 1e-9 * (1 + np.abs(middle))))
 
 
-def _grows_along_rays(game: Game, points: FloatArray, player: int, block: BoolArray, direction: FloatArray) -> bool:
+def _grows_along_rays(game: Game, points: FloatArray, player: int, direction: FloatArray) -> bool:
     grows = True
     for sign in (-1.0, 1.0):
         ray = sign * direction
         if game.box is not None:  # only in unbounded directions
-            low, high = game.box
-            ray = np.where(np.where(ray < 0, low[block], high[block]) * np.sign(ray) == np.inf, ray, 0.0)
-            ray = ray / np.maximum(np.linalg.norm(ray, axis=0), 1e-300)
-        leaves = np.any(ray != 0, axis=0)
-        costs = [_cost_on_ray(game, points, player, block, ray, radius)[leaves] for radius in (1e2, 1e3, 1e4)]
-        grows &= all(bool(np.all(far >= near)) for near, far in pairwise(costs))
-        grows &= bool(np.all(costs[-1] > _cost_on_ray(game, points, player, block, ray, 0.0)[leaves]))
+            ray = np.where(np.isinf(np.where(ray < 0, *game.box)), ray, 0.0)
+            ray /= np.maximum(np.linalg.norm(ray, axis=0), 1e-300)
+        start, *costs = _costs_on_ray(game, points, player, ray, (0.0, 1e2, 1e3, 1e4))[:, np.any(ray != 0, axis=0)]
+        grows &= bool(np.all(np.greater_equal(costs[1:], costs[:-1])) and np.all(costs[-1] > start))
     return grows
