@@ -78,8 +78,7 @@ def pictures(policy: str, count: int) -> Iterator[Any]:
         panels = []
         for place, track in enumerate(suite.tracks):
             left, right = axes[place // COLUMNS, 2 * (place % COLUMNS) : 2 * (place % COLUMNS) + 2]
-            team = None if track.teammates is None else track.teammates.join
-            found = make_scene(track.world, suite.episode_set(track.name, 1), [spec], team)
+            found = make_scene(track, suite.episode_set(track.name, 1), [spec])
             left.axis("on")
             panels.append(Panel(track.name, found, spec.name, left, right))
         for share in np.linspace(0, 1, count):

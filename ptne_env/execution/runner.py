@@ -61,11 +61,7 @@ class Store:
         return self.folder / "jobs" / f"{key}.json"
 
     def find(self, job: Job) -> JobResult | None:
-        """Return the stored result of a job, or ``None`` where there is none or its file is damaged.
-
-        Raises:
-            OSError: when the file cannot be read.
-        """
+        """Return the stored result of a job, or ``None`` where there is none or its file is damaged."""
         key = key_of(job)
         if key is None:
             return None
@@ -80,11 +76,7 @@ class Store:
         return JobResult(samples, reason)
 
     def save(self, job: Job, result: JobResult) -> None:
-        """Store the result of a job.
-
-        Raises:
-            OSError: when the file cannot be written.
-        """
+        """Store the result of a job."""
         key = key_of(job)
         if key is None or result.failure is not None:
             return
@@ -165,13 +157,9 @@ def cost_of(job: Job) -> int:
 
 
 def _run_job(job: Job, key: str | None, metrics: dict[str, Metric]) -> JobResult:
-    """Run a job on a worker, with the metrics that the user registered.
-
-    Raises:
-        ValueError: when the job has another key on the worker, because libraries or files differ there.
-    """
+    """Run a job on a worker, with the metrics that the user registered."""
     METRICS.update(metrics)
-    if key is not None and key_of(job) != key:
+    if key is not None and key_of(job) != key:  # libraries or files differ there
         raise ValueError(
             f"a worker on {platform.node()} has another version of the library, its dependencies or the files of "
             f"policy {job.policy.name!r} than the machine that asks: install the same on both"

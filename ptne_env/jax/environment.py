@@ -75,7 +75,10 @@ class JaxWorld:
             setattr(self._world.clock, name, jnp.asarray(getattr(self._world.clock, name)))
         self._draw_games = game_sampler(self.numpy, require_count("pool", pool, 1))
         self._parts = [each if callable(each) else jnp.asarray(each) for _, each in self._encoder.parts]
-        self._starts, self._schedules = self._drawn_starts(pool), self._drawn_schedules(pool)
+        start, self._starts = self.numpy.start, None
+        if not isinstance(start, UniformStart):  # a reset chooses among these, (n, N, P)
+            self._starts = jnp.asarray(self.numpy.draw_estimates(_streams(pool if start.is_random else 1)))
+        self._schedules = self._drawn_schedules(pool)
 
     @partial(jax.jit, static_argnums=(0, 2))
     def reset(self, key: jax.Array, num_envs: int = 1) -> State:
@@ -170,13 +173,6 @@ class JaxWorld:
     def digits(self, state: State) -> jax.Array:
         """The digits of each episode, −log10 of the relative distance of all its estimates, shape (B,)."""
         return distances.digits(distances.over_players(measure_distances(state)))
-
-    def _drawn_starts(self, pool: int) -> jax.Array | None:
-        """Starts from which a reset chooses, (n, N, P); ``None`` where JAX draws them."""
-        start = self.numpy.start
-        if isinstance(start, UniformStart):
-            return None
-        return jnp.asarray(self.numpy.draw_estimates(_streams(pool if start.is_random else 1)))
 
     def _drawn_schedules(self, pool: int) -> tuple[jax.Array, jax.Array] | None:
         """Modes and times since the switch of schedules from which a reset chooses, (K+H+1, P) each, or (1, P)."""

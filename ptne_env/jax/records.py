@@ -48,9 +48,7 @@ def register_game(kind: type[Game]) -> None:
 def game_sampler(world: World, pool: int) -> Callable[[jax.Array], Game]:
     """Return the function that draws the games of episodes, one per key (B,).
 
-    Args:
-        world: that draws the games.
-        pool: number of games from which episodes draw, where numpy alone can draw them.
+    Where numpy alone can draw them, episodes draw from a pool of so many games.
     """
     game, family = world.game, world.game_family
     register_game(type(game))

@@ -10,7 +10,7 @@ import math
 import platform
 import re
 from base64 import b64encode
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from gzip import compress
 from itertools import chain, cycle
@@ -95,17 +95,12 @@ class Page:
 
     title: str
     sections: tuple[Section, ...]
-    question: str = ""
     answer: tuple[str, ...] = ()
     dots: DotPlot | None = None
     scenes: Mapping[str, Scene] = field(default_factory=dict)
 
     def to_html(self) -> str:
-        """Return one HTML file with everything that it needs inside.
-
-        Raises:
-            ImportError: when Jinja is missing, naming the extra to install.
-        """
+        """Return one HTML file with everything that it needs inside."""
         try:
             from jinja2 import Environment, PackageLoader, StrictUndefined
         except ImportError as error:
@@ -148,7 +143,7 @@ def results_page(
         ImportError: when Jinja is missing, naming the extra to install.
     """
     drawn: dict[int, Scene] = {}
-    for index, scene in workers.run(_track_scene, [_scene_arguments(results, track) for track in results.tracks]):
+    for index, scene in workers.run(make_scene, [_scene_arguments(results, track) for track in results.tracks]):
         drawn[index] = scene
         if progress is not None:
             progress(results.tracks[index].name, len(drawn), len(results.tracks))
@@ -168,8 +163,6 @@ def results_page(
         where = f"{len(names)} tracks of {results.name}" if len(names) > 2 else f"{where} of {results.name}"
     return Page(
         title=f"{join_words(order_policies(results), most=3)} on {where}",
-        question="Which policy brings the estimates of all players closest to the Nash equilibrium by the deadline, "
-        "using only information that players have, and does it beat the paper's law?",
         answer=answer(results),
         dots=_dot_plot(results),
         sections=(
@@ -199,15 +192,11 @@ def results_page(
 
 
 def _scene_arguments(results: Results, track: Track) -> tuple[Track, EpisodeSet, list[PolicySpec]]:
-    """Return the arguments of :func:`_track_scene`: the leaders that act on the track, or else the best that acts."""
+    """Return the arguments of :func:`make_scene`: the leaders that act on the track, or else the best that acts."""
     acting = [name for name in order_policies(results) if (track.name, name) in results.samples]
     names = [name for name in leaders(results) if name in acting] or acting[:1]
     whole = results.episode_sets[track.name]
     return track, replace(whole, count=min(EPISODES, whole.count)), [results.policies[name] for name in names]
-
-
-def _track_scene(track: Track, episodes: EpisodeSet, policies: Sequence[PolicySpec]) -> Scene:
-    return make_scene(track.world, episodes, policies, None if track.teammates is None else track.teammates.join)
 
 
 def _track_section(results: Results, track: Track, episodes: int) -> Section:

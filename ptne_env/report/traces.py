@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.policy_spec import PolicySpec
-from ptne_env.evaluation.rollout import Member, rollout
+from ptne_env.evaluation.rollout import rollout
+from ptne_env.evaluation.tracks import Track
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray
 from ptne_env.world.dynamics import State
-from ptne_env.world.world import World
 
 MOST_ESTIMATES = 200
 """Largest number of estimates of all players that a trace keeps, as many as ``env.render()`` draws."""
@@ -72,17 +72,9 @@ class Scene:
     traces: Mapping[str, Trace]
 
 
-def make_scene(
-    world: World,
-    episodes: EpisodeSet,
-    policies: Iterable[PolicySpec],
-    teammates: Callable[[World], Member] | None = None,
-) -> Scene:
-    """Run policies, each with its first training seed, from the same starts.
-
-    Raises:
-        ValueError: when a policy cannot act in this world.
-    """
+def make_scene(track: Track, episodes: EpisodeSet, policies: Iterable[PolicySpec]) -> Scene:
+    """Run policies, each with its first training seed, from the same starts; ``ValueError`` for one that cannot act."""
+    world = track.world
     clock, start = world.clock, episodes.initial_state(world)
     links = np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2)
     randomness = start.randomness
@@ -98,13 +90,13 @@ def make_scene(
         links=links,
         live=live.T,
         episodes=episodes.count,
-        traces={spec.name: _trace_policy(world, start, spec, teammates) for spec in policies},
+        traces={spec.name: _trace_policy(track, start, spec) for spec in policies},
     )
 
 
-def _trace_policy(world: World, start: State, spec: PolicySpec, teammates: Callable[[World], Member] | None) -> Trace:
-    encoder = Encoder(world, spec.interface)
-    owners = world.game.owners
+def _trace_policy(track: Track, start: State, spec: PolicySpec) -> Trace:
+    encoder = Encoder(track.world, spec.interface)
+    owners = track.world.game.owners
     own = (np.arange(len(owners)), owners)
     estimates: list[FloatArray] = []
     inputs: list[FloatArray] = []
@@ -113,9 +105,8 @@ def _trace_policy(world: World, start: State, spec: PolicySpec, teammates: Calla
         estimates.append(state.estimates[:, :, 0].copy())
         inputs.append(np.full(len(owners), np.nan) if held is None else held[:, :, 0][own])
 
-    team = None if teammates is None else teammates(world)
-    policy = spec.build(encoder.layout)
-    distance = rollout(policy, encoder, start, team, watch)["estimate_distance"]
+    team = None if track.teammates is None else track.teammates.join(track.world)
+    distance = rollout(spec.build(encoder.layout), encoder, start, team, watch)["estimate_distance"]
     every = np.stack(estimates, axis=-1)
     return Trace(
         errors=np.quantile(distance, QUANTILES, axis=1),

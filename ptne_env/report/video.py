@@ -13,6 +13,7 @@ from ptne_env.envs.rendering import Renderer
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.rollout import rollout
+from ptne_env.evaluation.tracks import Track
 from ptne_env.perception.encoder import Encoder
 from ptne_env.report.page import Page, Section
 from ptne_env.report.traces import make_scene
@@ -60,14 +61,14 @@ def save_video(
         raise ValueError(f"an episode is written to a file that ends in {' or '.join(FORMATS)}, got {path.name!r}")
     if require_count("pictures", pictures, 2) > MOST_PICTURES:
         raise ValueError(f"a video has at most {MOST_PICTURES} pictures, got {pictures}")
-    world = World(scenario)
-    episode = EpisodeSet(1, seed)
+    track, episode = Track(scenario.name, scenario, ""), EpisodeSet(1, seed)
     if suffix == ".html":
-        scenes = {scenario.name: make_scene(world, episode, [spec])}
+        scenes = {track.name: make_scene(track, episode, [spec])}
         player = Section("Episode player", has_player=True)
         write_atomically(path, Page(f"{scenario.name}: {spec.name}", (player,), scenes=scenes).to_html())
         return
-    write_atomically(path, encode_gif(_draw_pictures(world, spec, episode.initial_state(world), pictures, progress)))
+    start = episode.initial_state(track.world)
+    write_atomically(path, encode_gif(_draw_pictures(track.world, spec, start, pictures, progress)))
 
 
 def _draw_pictures(

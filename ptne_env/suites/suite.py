@@ -49,11 +49,7 @@ class Suite:
             raise ValueError(f"a suite needs tracks with different names, got {names}")
 
     def track(self, name: str) -> Track:
-        """Return a track by name.
-
-        Raises:
-            ValueError: for an unknown name.
-        """
+        """Return a track by name; ``ValueError`` for an unknown one."""
         for track in self.tracks:
             if track.name == name:
                 return track

@@ -37,15 +37,12 @@ class NoClosedLoopError(ValueError):
 
 
 def closed_loop_matrix(game: Game, graph: Graph, kappa: float) -> FloatArray:
-    """Return M = Rᵀ dF + κ L⊗I_n of the static law around x*, without the entries that bounds hold at x*.
+    """Return M = Rᵀ dF + κ L⊗I_n of the static law around x*, (Nn, Nn) less the entries that bounds hold at x*.
 
     Args:
         game: the game; its F is linearised at x* unless it is affine.
         graph: the communication graph of the game's players.
         kappa: κ ≥ 0. For the adaptive law at frozen gains, use a graph with the weights κ_ij a_ij and κ = 1.
-
-    Returns:
-        Shape (Nn, Nn), less the entries of strategies that bounds hold at x*.
 
     Raises:
         ValueError: when κ is negative, or the graph has another number of players.
@@ -157,17 +154,13 @@ def decay_rate(
 ) -> float:
     """Return the rate r of the error of dx = −M x, which decays like e^{−r s} as t → T, or e^{−r t} on the clock t.
 
+    ``matrices`` are the M of the modes of a topology that is not random; T is the deadline in seconds.
+
     A fixed graph gives the spectral abscissa of M. A periodic topology on the clock of the loop, which is the
     transformed one for a loop in τ since dτ/ds → 1, gives the Floquet rate −ln ρ(Π e^{−M_m Δ_m})/period. On the
     physical clock a loop in τ meets finitely many switches before T, so only the last graph counts, and the rate is 0
     where that graph is disconnected (docs/errata.md, 2). On the transformed clock a loop in t meets ever faster
     switches, which gives the spectral abscissa of the mean of M.
-
-    Args:
-        matrices: M of every mode of the topology.
-        topology: the topology, which is not random.
-        deadline: T in seconds.
-        clock: the clock of the loop.
     """
     if topology.is_fixed:
         return spectral_abscissa(matrices[0])

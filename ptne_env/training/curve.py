@@ -17,11 +17,7 @@ from ptne_env.world.scenario import Scenario
 
 
 def read_learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
-    """Read the agent-steps and the means of the evaluations of a run; of a resumed run, those since it resumed.
-
-    Raises:
-        ValueError: when the file is damaged.
-    """
+    """Read the agent-steps and the means of the evaluations of a run; of a resumed run, those since it resumed."""
     path = folder / "evaluations.npz"
     if not path.exists():
         return np.empty(0), np.empty(0)
@@ -39,12 +35,9 @@ def evaluate_laws(scenario: Scenario, episodes: int = 20) -> Results:
 
 
 def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, metric: str, laws: Results) -> None:
-    """Draw the learning curves of runs, the paper's law and the best law into a PNG file.
+    """Draw the learning curves of runs, from their folders by name, the paper's law and the best law into a PNG file.
 
     Args:
-        runs: the folders of the runs by name.
-        path: the file.
-        title: the title of the picture.
         steps: the number of agent-steps where the axis ends, unless a curve goes on.
         metric: the metric that the curves show, ``"digits"`` or ``"digits_gained"``.
         laws: the results of :func:`evaluate_laws`.

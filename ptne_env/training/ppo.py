@@ -61,7 +61,7 @@ GAMES, VALIDATION_EPISODES = 20, 200
 
 
 def train(configuration: Configuration, out: Path, progress: Progress | None = None) -> RunSummary:
-    """Train, validate and export; resume an interrupted run. A finished run is not repeated.
+    """Train, validate and export, and return the summary; resume an interrupted run. A finished one is not repeated.
 
     The global generators of Python, NumPy and PyTorch are seeded.
 
@@ -69,9 +69,6 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
         configuration: the definition of the run.
         out: the folder for all files of the run; made if missing.
         progress: a function to call after every rollout.
-
-    Returns:
-        The summary, also in ``out/summary.json``.
 
     Raises:
         ValueError: for values that do not fit each other, for an unknown scenario, when ``out`` holds a run with

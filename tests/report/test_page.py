@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from ptne_env import get_scenario
-from ptne_env.evaluation import EpisodeSet, get_policy_spec
+from ptne_env.evaluation import EpisodeSet, Track, get_policy_spec
 from ptne_env.evaluation.metrics import number
 from ptne_env.report.page import Page, Section, results_page
 from ptne_env.report.tables import answer, text_table
 from ptne_env.report.traces import make_scene
 from ptne_env.shared.style import COLOURS, DARK, LIGHT
-from ptne_env.world.world import World
 
 VOID = {"meta", "link", "input", "br", "img", "hr"}
 
@@ -108,8 +107,8 @@ def test_figures_show_the_papers_law_and_the_users_own(outline, text, hostile):
 
 
 def test_the_player_has_every_step_of_the_first_episode():
-    world = World(get_scenario("energy-switching", steps=50))
-    found = make_scene(world, EpisodeSet(3), [get_policy_spec("static")])
+    track = Track("switching", get_scenario("energy-switching", steps=50), "")
+    found = make_scene(track, EpisodeSet(3), [get_policy_spec("static")])
     drawn = json.loads(unpacked(Outline(Page("", (), scenes={"one": found}).to_html()), "scene-0"))
     trace = found.traces["static"]
     estimates = np.array(drawn["traces"]["static"]["estimates"])
