@@ -197,6 +197,7 @@ def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int 
     :func:`~ptne_env.theory.monotonicity_constants`.
 
     Args:
+        game: the game to check.
         samples: the number of random joint strategies.
         radius: components are drawn from U(−radius, radius); with two bounds, from the interval between them; with one
             bound, from an interval of length 2 radius next to it.

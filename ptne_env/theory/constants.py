@@ -55,6 +55,7 @@ def monotonicity_constants(game: Game, *, radius: float = 10.0) -> MonotonicityC
     block i of **F** depends on x^i alone.
 
     Args:
+        game: the game.
         radius: half-width of the box around x* from which points are drawn when F is not affine. They are projected
             into the game's box.
 

@@ -37,10 +37,8 @@ def evaluate_laws(scenario: Scenario, episodes: int = 20) -> Results:
 def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, metric: str, laws: Results) -> None:
     """Draw the learning curves of runs, from their folders by name, the paper's law and the best law into a PNG file.
 
-    Args:
-        steps: the number of agent-steps where the axis ends, unless a curve goes on.
-        metric: the metric that the curves show, ``"digits"`` or ``"digits_gained"``.
-        laws: the results of :func:`evaluate_laws`.
+    The axis ends at ``steps`` agent-steps, unless a curve goes on. The curves show ``metric``, which is ``"digits"`` or
+    ``"digits_gained"``, and the lines that of :func:`evaluate_laws`.
 
     Raises:
         ImportError: when matplotlib is missing, naming the extra to install.
