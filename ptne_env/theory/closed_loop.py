@@ -20,7 +20,6 @@ from scipy import linalg
 
 from ptne_env.games import Game
 from ptne_env.laws import Law
-from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, IntArray, require_non_negative
 from ptne_env.theory.constants import ZERO, jacobian_at_equilibrium, last_modes
 from ptne_env.world.clock import TimeTransformation
@@ -57,7 +56,7 @@ def closed_loop_matrix(game: Game, graph: Graph, kappa: float) -> FloatArray:
     return _restrict(matrix, game)
 
 
-def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
+def law_matrix(law: Law, game: Game, graph: Graph, theta: float = 1.0, dt: float = 1.0) -> FloatArray:
     """Return M of a law that is linear in gradient and differences, u = −M (x − 1⊗x*), as measured on the law.
 
     Each player observes unit errors of its own estimate, and unit messages, at x*; its inputs are the columns of M. So
@@ -68,6 +67,8 @@ def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
             if it has any, are those of the start.
         game: the game; its F is linearised at x* unless it is affine.
         graph: the active graph.
+        theta: Θ of the step, for a law that reads it.
+        dt: Δt of the step, likewise.
 
     Returns:
         Shape (Nn, Nn), less the entries of strategies that bounds hold at x*.
@@ -98,15 +99,17 @@ def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
         probes[:, -2] = np.tensordot(mixture, probes[:, :-2], axes=(0, 1))
 
     player = np.repeat(np.arange(players), kinds)
-    observation = blank_observation(layout, player)._replace(
+    blank = np.zeros((player.size, layout.size))
+    blank[:, layout.slices["player"]] = np.eye(players)[player]
+    observation = layout.read(blank)._replace(
         gradient=gradient.reshape(-1, n),
         relative_estimates=relative.reshape(-1, slots, n),
         weights=weights[player],
-        theta=np.ones((player.size, 1)),
-        dt=np.ones((player.size, 1)),
+        theta=np.full((player.size, 1), theta),
+        dt=np.full((player.size, 1), dt),
         own_estimate=error.reshape(-1, n) + game.nash_equilibrium,
     )
-    inputs = inputs_of(law, observation).reshape(players, kinds, n)
+    inputs = law.inputs(observation, law.initial_memory(player.size))[0].reshape(players, kinds, n)
     mixed = np.tensordot(inputs[:, :-2], mixture, axes=(1, 0))
     scale = 1e-9 * (1 + np.abs(mixed).max())
     if np.abs(inputs[:, -1]).max() > scale or np.abs(mixed - inputs[:, -2]).max() > scale:
@@ -129,18 +132,6 @@ def _require_loop(law: Law) -> None:
         )
     if law.has_memory and law.gains(law.initial_memory(law.layout.num_players)) is None:
         raise NoClosedLoopError(f"{name} remembers more than gains, so it has no closed-loop matrix")
-
-
-def blank_observation(layout: ObservationLayout, player: IntArray) -> Observation:
-    """Return observations of these players, shape (R,), in which every other number is 0."""
-    arrays = np.zeros((player.size, layout.size))
-    arrays[:, layout.slices["player"]] = np.eye(layout.num_players)[player]
-    return layout.read(arrays)
-
-
-def inputs_of(law: Law, observation: Observation) -> FloatArray:
-    """Return the inputs u^i of a law with its initial memory, shape (R, n)."""
-    return law.inputs(observation, law.initial_memory(len(observation.player)))[0]
 
 
 def spectral_abscissa(matrix: FloatArray) -> float:
@@ -266,39 +257,19 @@ def sampled_loop(world: World, law: Law) -> SampledLoop:
     matrices = tuple(law_matrix(law, world.game, graph) for graph in topology.graphs)
     theta, dt = clock.theta[: clock.steps], clock.dt[: clock.steps]
     # The first and the last step, a step that is longer in τ, and one that is longer in t.
-    thetas, dts = np.array([theta[0], theta[-1], 2 * theta[0], theta[0]]), np.array([dt[0], dt[-1], dt[0], 2 * dt[0]])
-    responses = _respond(law, thetas, dts)
+    lengths = [(theta[0], dt[0]), (theta[-1], dt[-1]), (2 * theta[0], dt[0]), (theta[0], 2 * dt[0])]
+    measured = [law_matrix(law, world.game, topology.union, *length) for length in lengths]
     instants = clock.topology_times[topology.clock][: clock.steps]
     modes = topology.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
-    if _is_constant(responses):
+    if _is_constant(measured):
         return SampledLoop(matrices, modes, theta, "effective")
-    if _is_constant(responses * (thetas / dts)[:, None]):
+    if _is_constant([matrix * (tau / t) for matrix, (tau, t) in zip(measured, lengths, strict=True)]):
         return SampledLoop(matrices, modes, dt, "physical")
     raise NoClosedLoopError(f"{type(law).__name__} reads the length of its step, so it has another loop in every step")
 
 
-def _respond(law: Law, theta: FloatArray, dt: FloatArray) -> FloatArray:
-    """Return the inputs for the same gradients and differences in steps of several lengths, one row per step."""
-    layout, generator = law.layout, np.random.default_rng(0)
-    players, steps = layout.num_players, len(theta)
-    blank = blank_observation(layout, np.tile(np.arange(players), steps))
-
-    def draw(*shape: int) -> FloatArray:
-        return np.tile(generator.uniform(0.5, 1.5, (players, *shape)), (steps, *(1,) * len(shape)))
-
-    observation = blank._replace(
-        gradient=np.where(layout.own_mask[blank.player], draw(layout.dimension), 0.0),
-        relative_estimates=draw(layout.slots, layout.dimension),
-        weights=draw(layout.slots),
-        own_estimate=draw(layout.dimension),
-        theta=np.repeat(theta, players)[:, None],
-        dt=np.repeat(dt, players)[:, None],
-    )
-    return inputs_of(law, observation).reshape(steps, -1)
-
-
-def _is_constant(responses: FloatArray) -> bool:
-    return bool(np.ptp(responses, axis=0).max() <= 1e-9 * (1 + np.abs(responses).max()))
+def _is_constant(matrices: Sequence[FloatArray]) -> bool:
+    return bool(np.ptp(matrices, axis=0).max() <= 1e-9 * (1 + np.abs(matrices).max()))
 
 
 def distance(errors: FloatArray, game: Game) -> FloatArray:
