@@ -45,9 +45,9 @@ _COMPARED = {
         "Copies news of each player from the neighbours that have them first, and takes gradient steps.",
         part("law:routed-unknown", step=0.3),
     ),
-    "observer-relay": (
-        "The contact relay that filters noise and rounding, weighs neighbours by their errors, and expects reactions.",
-        part("law:observer-relay"),
+    "relay": (
+        "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
+        part("law:relay"),
     ),
     "ppo-random-energy": _network("random-energy"),
 }
@@ -63,12 +63,8 @@ _OTHERS = {
         "Bianchi and Grammatico's discrete law: average with the neighbours, then take a gradient step.",
         part("law:projected-gradient", step=0.47, mixing=0.357),
     ),
-    "contact-relay": (
-        "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
-        part("law:contact-relay", patience=12.6, forgetting=5.89),
-    ),
     "residual-coder": (
-        "The observer relay among players who tell each other small digits in code, where all of them understand it.",
+        "The relay among players who tell each other small digits in code, where all of them understand it.",
         part("law:residual-coder"),
     ),
     "proximal-best-response": (

@@ -2,38 +2,22 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
 from ptne_env.laws.base import RecordLaw, consensus, per_step
-from ptne_env.laws.building_blocks.own_gradient import (
-    RESOLUTION,
-    UNLIMITED,
+from ptne_env.laws.identification import (
     Model,
     identify,
     initial_model,
-    largest,
-    own_block,
     own_curvatures,
     own_entries,
-    own_places,
     shorten,
-    trust_radius,
     with_own,
 )
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
-
-
-class ProximalMemory(NamedTuple):
-    """What R players remember of the step before."""
-
-    model: Model  # the identified rows of dF
-    estimate: FloatArray  # own estimates, shape (R, n)
-    gradient: FloatArray  # own gradient, shape (R, m)
-    radius: FloatArray  # of the trust region, shape (R, 1)
-    started: FloatArray  # whether there was a step before, shape (R, 1)
 
 
 class ProximalBestResponse(RecordLaw):
@@ -44,13 +28,11 @@ class ProximalBestResponse(RecordLaw):
     proximal-point algorithm for Nash equilibrium seeking with linear convergence rate", arXiv:1910.11613, 2019.
 
     A player sees its own gradient only, so the argmin is that of the quadratic model with the identified own row G of
-    dF, :func:`~ptne_env.laws.building_blocks.own_gradient.identify`: (2 I + α G_ii) Δx_i = h Σ_j a_ij (x^j_i − x^i_i) −
-    α (∂J_i/∂x_i + G_{i,−i} Δx_{−i}). It is exact for affine F as soon as the row is known. Until then three standard
-    deviations are added to each curvature of G_ii, and a curvature below 0 counts as 0. In games with more than 32
-    components the own block alone is identified, and G_{i,−i} counts as 0. Because F need not be affine, no own
-    displacement after the first step is longer than
-    :func:`~ptne_env.laws.building_blocks.own_gradient.trust_radius`. In a box the environment projects the step, which
-    is the argmin in the box where n_i = 1.
+    dF, :func:`~ptne_env.laws.identification.identify`: (2 I + α G_ii) Δx_i = h Σ_j a_ij (x^j_i − x^i_i) − α (∂J_i/∂x_i +
+    G_{i,−i} Δx_{−i}). It is exact for affine F as soon as the row is known. Until then three standard deviations are
+    added to each curvature of G_ii, and a curvature below 0 counts as 0. Because F need not be affine, no own
+    displacement after the first step is longer than the trust region. In a box the environment projects the step, which
+    is the argmin in the box where n_i = 1. The memory is the model.
 
     Args:
         layout: the layout of the environment, with the interface ``physical``.
@@ -71,34 +53,19 @@ class ProximalBestResponse(RecordLaw):
         super().__init__(layout)
         self.step, self.mixing = require_positive("step", step), require_positive("mixing", mixing)
         self.spread = require_positive("spread", spread)
-        model, n, none = initial_model(layout, self.spread), layout.dimension, np.zeros((1, 1))
-        self.start = ProximalMemory(model, np.zeros((1, n)), np.zeros((1, max(layout.action_dims))), none, none)
+        self.start = (initial_model(layout),)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        layout, was = self.layout, self.unpack(memory)
-        estimate, is_own = observation.own_estimate, layout.own_mask[observation.player]
-        blocks = layout.own_components[observation.player]
-        gradient, is_whole = own_entries(observation.gradient, blocks), was.model.rows.shape[2] == layout.dimension
-
-        moved = np.where(was.started > 0, estimate - was.estimate, 0.0)
-        own_moved = own_entries(moved, blocks)
-        deviation = RESOLUTION * (largest(gradient) + self.spread * (largest(estimate) + largest(was.estimate)))
-        if not is_whole:
-            deviation = deviation + self.spread * largest(np.where(is_own, 0.0, moved))
-        shift = moved if is_whole else own_moved
-        model, error, failed = identify(was.model, shift, gradient - was.gradient, deviation**2)
-        radius = trust_radius(was.radius, own_moved, (error, failed), was.gradient, estimate)
+        (was,), blocks = self.unpack(memory), self.layout.own_components[observation.player]
+        is_own, gradient = self.layout.own_mask[observation.player], own_entries(observation.gradient, blocks)
+        widest, unlimited = np.full_like(was.radius, self.spread), np.full_like(was.radius, np.inf)
+        model: Model = identify(was, observation.own_estimate, gradient, widest, unlimited, is_own)
 
         pull = self.mixing * consensus(observation.weights, observation.relative_estimates)
         drift = np.where(is_own, 0.0, pull / 2)
-        places = own_places(blocks, model, layout.dimension)
-        foreseen = np.einsum("rmq,rq->rm", model.rows, drift if is_whole else np.zeros_like(shift))
-        own = own_block(model.rows, places)
-        curvature, doubt, vectors = own_curvatures((own + own.swapaxes(1, 2)) / 2, model, places)
-        curvature = np.maximum(curvature, 0.0) + doubt
-        wanted = own_entries(pull, blocks) - self.step * (gradient + foreseen)
-        along = np.einsum("rba,rb->ra", vectors, wanted) / (2 + self.step * curvature)
-        longest = np.where(was.started > 0, radius, UNLIMITED)
-        displacement = with_own(drift, shorten(np.einsum("rab,rb->ra", vectors, along), longest), blocks)
-        fresh = ProximalMemory(model, estimate, gradient, radius, np.ones_like(radius))
-        return per_step(displacement, observation), self.pack(fresh)
+        curvature, doubt, vectors = own_curvatures(model, blocks)
+        wanted = own_entries(pull, blocks) - self.step * (gradient + np.einsum("rmn,rn->rm", model.rows, drift))
+        along = np.einsum("rba,rb->ra", vectors, wanted) / (2 + self.step * (np.maximum(curvature, 0.0) + doubt))
+        step = np.einsum("rab,rb->ra", vectors, along)
+        displacement = with_own(drift, shorten(step, model.radius), blocks)
+        return per_step(displacement, observation), self.pack((model,))

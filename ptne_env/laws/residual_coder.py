@@ -1,4 +1,4 @@
-"""The residual coder: the observer relay among players who say in code what the channel would drown."""
+"""The residual coder: the relay among players who say in code what the channel would drown."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from ptne_env.laws.base import RecordLaw, per_step
-from ptne_env.laws.observer_relay import ObserverRelay
+from ptne_env.laws.relay import Relay
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray
 
@@ -34,7 +34,7 @@ class CoderMemory(NamedTuple):
     """What R players remember from step to step."""
 
     steps: FloatArray  # number of steps so far, shape (R, 1)
-    alone: FloatArray  # the step from which the player follows observer-relay, infinite while it talks, shape (R, 1)
+    alone: FloatArray  # the step from which the player follows relay, infinite while it talks, shape (R, 1)
     error: FloatArray  # the largest error of plain messages so far, -1 while none is known, shape (R, 1)
     sent: FloatArray  # the estimates that the last input asked for, shape (R, n)
     meant: FloatArray  # z, the estimates as they are meant, shape (R, n)
@@ -42,19 +42,19 @@ class CoderMemory(NamedTuple):
     live: FloatArray  # whether both messages of the round have arrived, shape (R, D)
     plain: FloatArray  # the plain message of the round, shape (R, D, n)
     heard: FloatArray  # what the last round told, shape (R, D, n)
-    relay: FloatArray  # the memory of observer-relay, shape (R, size)
+    relay: FloatArray  # the memory of relay, shape (R, size)
 
 
 class ResidualCoder(RecordLaw):
-    """An observer relay among players who tell each other small digits in code, which makes them large.
+    """A relay among players who tell each other small digits in code, which makes them large.
 
     A round has two steps. In the first the estimates are z, in the second A (z mod g), which fills the range: who knows
-    z to g/2 then knows it A times as well as the channel says it. After the round observer-relay moves z by what was
+    z to g/2 then knows it A times as well as the channel says it. After the round relay moves z by what was
     told. The sign of code, which alternates over places and rounds, shows that it is code, and which A. A player uses
     the large A where the errors that it hears are small. Otherwise z rests for three rounds with A, A² and A³.
 
     Only estimates of others carry code: the own strategy is z, and is told in the place of another component, in every
-    cycle of rounds another one. In the first rounds z rests. A player gives up for good, and follows observer-relay,
+    cycle of rounds another one. In the first rounds z rests. A player gives up for good, and follows relay,
     where messages are exact or too wrong, a neighbour tells no code, or its inputs do not reach; its neighbours follow.
 
     Args:
@@ -69,7 +69,7 @@ class ResidualCoder(RecordLaw):
     def __init__(self, layout: ObservationLayout) -> None:
         super().__init__(layout)
         _, self.end, step, first = layout.largest_clock
-        self.relay, dims = ObserverRelay(layout), max(layout.action_dims)
+        self.relay, dims = Relay(layout), max(layout.action_dims)
         self.most = _FILL * min(layout.message_range, layout.action_bound * step / 2)
         self.centre, self.span = self.most * (1 + _GAP) / 2, self.most * (1 - _GAP)
         cycle = 2 * _LEVELS

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ptne_env.laws.base import RecordLaw, per_step
-from ptne_env.laws.building_blocks.messages import Contacts, find_sources, initial_contacts, mean_difference
-from ptne_env.laws.building_blocks.own_gradient import RESOLUTION, clip_to_reach, largest
+from ptne_env.laws.sources import Contacts, find_sources, initial_contacts, mean_difference
+from ptne_env.laws.identification import RESOLUTION, clip_to_reach, largest
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 
@@ -31,7 +31,7 @@ class RoutedUnknown(RecordLaw):
     """A law that copies estimates from the neighbours that have them first, and takes gradient steps.
 
     x^i_c ← mean of x^j_c over the live sources j of c, if there are any, and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i). A player
-    has no source of its own components; :func:`~ptne_env.laws.building_blocks.messages.find_sources` finds those of
+    has no source of its own components; :func:`~ptne_env.laws.sources.find_sources` finds those of
     others from the own links alone. On a fixed graph where the sources are the neighbours that are nearer to the owner
     of c, x^i_c is the owner's strategy d_ic steps ago, d_ic being the hop count. That is gradient play with delays,
     x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k − d_i1), …, x_N(k − d_iN)).

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import shortest_path
 from ptne_env.laws import (
     Adaptive,
     AdaptiveGrounded,
-    ContactRelay,
+    Relay,
     CorollaryOne,
     Grounded,
     Law,
@@ -189,7 +189,7 @@ def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -
     )
 
 
-def relay_condition(law: ContactRelay, constants: ProblemConstants) -> Condition:  # noqa: ARG001 - it has no gain
+def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # noqa: ARG001 - it has no gain
     """ε > 0, ρ(B) < 1 with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j and G = dF, and all links act again and again.
 
     Then best responses contract in a weighted maximum norm, with copies of any age
@@ -212,7 +212,7 @@ CONDITIONS: dict[type[Law], Callable[[Any, ProblemConstants], Condition]] = {
     ProjectedGradient: projected_gradient_condition,
     RoutedUnknown: routed_condition,
     ProximalBestResponse: proximal_condition,
-    ContactRelay: relay_condition,
+    Relay: relay_condition,
 }
 """The condition of each law that has a theorem, by its class. A subclass is another law and needs its own entry."""
 

@@ -1,0 +1,185 @@
+"""The relay: news travel one link a step, and players answer with best responses by a model of their own gradient."""
+
+from __future__ import annotations
+
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from ptne_env.laws.base import RecordLaw, per_step
+from ptne_env.laws.identification import (
+    Model,
+    clip_to_reach,
+    identify,
+    initial_model,
+    largest,
+    own_curvatures,
+    own_entries,
+    shorten,
+    with_own,
+)
+from ptne_env.laws.sources import Contacts, find_sources, initial_contacts, mean_difference
+from ptne_env.perception.observation import Observation, ObservationLayout
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_positive, row_maxima
+
+_SMALLEST = 1e-3
+"""Least scale of a problem, in units of what the input limit allows in a step: a start at 0 is no small problem."""
+
+_FIRST = 1 / 9
+"""Length of the first own displacement, in units of the scale."""
+
+_SPREAD = 3.0
+"""Standard deviation of the entries of dF before anything is identified, in units of the first gradient per scale."""
+
+_DAMPING = 3.0
+"""How much a step is shortened per unit by which Σ_j |G_ij| exceeds the curvature: linear analysis of games that rotate
+ten times as fast as they contract, with delays of up to two steps, has its optimum between 2.5 and 3.5."""
+
+_LEAD = 2.5
+"""Steps for which a damped response expects the copies to go on as in this one, by the same analysis."""
+
+_SIGNAL = 8.0
+"""A difference to the sources above this many times σ is no noise, and neither is a fall of σ to this part of it."""
+
+_NEWS = 20.0
+"""A copy has news once it moved by more than this many σ, because σ is the smallest of many changes."""
+
+_LOUDEST = 0.03
+"""A change of messages above this share of the scale is news in any case."""
+
+
+class Noise(NamedTuple):
+    """What R players know of the noise of messages."""
+
+    last: FloatArray  # messages of the step before, shape (R, D, n)
+    before: FloatArray  # those of the step before that, shape (R, D, n)
+    age: FloatArray  # steps for which links have been live without a break, shape (R, D)
+    least: FloatArray  # σ, the smallest change of messages so far, infinite before the first, shape (R, 1)
+    mark: FloatArray  # σ when the count of steps last began, shape (R, 1)
+    steps: FloatArray  # k, in which messages have not come to rest, shape (R, 1)
+
+
+class RelayMemory(NamedTuple):
+    """What R players remember from step to step."""
+
+    steps: FloatArray  # number of steps so far, shape (R, 1)
+    contacts: Contacts  # with the neighbours
+    noise: Noise  # of their messages
+    model: Model  # of the own gradient
+    asked: FloatArray  # the last moves of the estimates of others, shape (R, n)
+
+
+class Relay(RecordLaw):
+    """A law that copies estimates hop by hop, and takes best responses by an identified model of the own gradient.
+
+    In every step a player does the following.
+
+    1. *Sources.* :func:`~ptne_env.laws.sources.find_sources` says which neighbours have fresher copies of each
+       component, from own links alone. The owner of a component is its only source as soon as the player has met it.
+    2. *Noise.* σ is the smallest change of messages so far, where a change is |y_k − y_{k−1}| or
+       |y_k − 2 y_{k−1} + y_{k−2}|/√3, whichever is smaller, and the largest over links and components counts: noise has
+       both of this size, while smooth moves have small second differences. Where σ has not halved for ``patience``
+       steps, copies average over the k steps since, with the weight w = p/(p + k), p being ``forgetting``. A
+       difference to the sources above 8 σ is no noise, and starts the count again.
+    3. *Copies.* Δx^i_c = w × mean of (x^j_c − x^i_c) over the live sources j of component c of another player.
+    4. *Identification.* :func:`~ptne_env.laws.identification.identify` updates the rows G of dF from the changes of own
+       estimates and own gradient.
+    5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + ℓ G_{i,−i} Δx_{−i}), the best response to the copies. D has the
+       eigenvectors of the own block G_ii, and the eigenvalues d (1 + 3 max(0, ρ − 1)), where d is the curvature, plus
+       three standard deviations where it is not certainly positive, and ρ = Σ_j |G_ij|/d is the contraction of best
+       responses in the maximum norm, the largest row counting. Where ρ ≤ 1 they contract whatever the delays, D = G_ii
+       and ℓ = 1; in games that rotate they would not, and are damped, and ℓ = 2.5 expects the copies to go on.
+       No step is longer than the trust region of the model.
+
+    In the first m steps the estimates of others rest, and one own component after the other moves, so that the first
+    changes of messages are noise alone, and the own block of dF is known at once.
+
+    Args:
+        layout: the layout of the environment, with the interface ``physical``.
+        patience: the number of steps, > 0, after which σ counts as noise if it has not halved.
+        forgetting: p > 0: larger numbers forget the first messages faster. 1 is the mean of all.
+
+    Raises:
+        ValueError: for a patience or forgetting that is not positive, or another interface.
+    """
+
+    needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
+
+    def __init__(self, layout: ObservationLayout, patience: float = 25.0, forgetting: float = 6.0) -> None:
+        super().__init__(layout)
+        self.patience = require_positive("patience", patience)
+        self.forgetting = require_positive("forgetting", forgetting)
+        none, infinite, own = np.zeros((1, 1)), np.full((1, 1), np.inf), np.zeros((1, layout.dimension))
+        messages = np.zeros((1, layout.slots, layout.dimension))
+        noise = Noise(messages, messages, messages[:, :, 0], infinite, infinite, none)
+        self.start = RelayMemory(none, initial_contacts(layout), noise, initial_model(layout), own)
+
+    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
+        layout, was, player = self.layout, self.unpack(memory), observation.player
+        is_own, owners = layout.own_mask[player], layout.neighbour_components[player]
+        blocks, estimate = layout.own_components[player], observation.own_estimate
+        reach = layout.action_bound * observation.theta
+        scale = np.maximum(largest(estimate), _SMALLEST * reach)
+
+        noise = _measure(observation, was.noise, was.steps, owners | is_own[:, None])
+        loudest = np.minimum(_NEWS * np.where(np.isfinite(noise.least), noise.least, 0.0), _LOUDEST * scale)
+        drifted = np.where(is_own, 0.0, was.asked)
+        sources, contacts = find_sources(
+            observation, was.contacts, was.steps > 0, drifted, owners, loudest[:, :, None]
+        )
+        is_probe = was.steps < blocks.shape[1]
+        mean = np.where(is_own | is_probe, 0.0, mean_difference(observation, sources))
+        noise, weight = self._weigh(noise, mean)
+        drift = weight * mean
+
+        gradient = own_entries(observation.gradient, blocks)
+        widest = _SPREAD * largest(gradient) / np.where(scale > 0, scale, 1.0)
+        model = identify(was.model, estimate, gradient, widest, _FIRST * scale, is_own)
+        response = _respond(model, drift, blocks, is_own)
+        response = np.where(is_probe & (np.arange(blocks.shape[1]) != was.steps), 0.0, response)
+        displacement = with_own(drift, response, blocks)
+        asked = clip_to_reach(displacement, observation, layout)
+        return per_step(displacement, observation), self.pack(
+            RelayMemory(was.steps + 1, contacts, noise, model, asked)
+        )
+
+    def _weigh(self, noise: Noise, mean: FloatArray) -> tuple[Noise, FloatArray]:
+        """Return the noise after the differences (R, n) to the sources, and the weight w of copies, shape (R, 1)."""
+        counts = noise.steps > self.patience
+        calmer = noise.least <= noise.mark / np.where(counts, _SIGNAL, 2.0)
+        steps = np.where(calmer | (largest(mean) > _SIGNAL * noise.least), 0.0, noise.steps + 1)
+        weight = np.where(steps > self.patience, self.forgetting / (self.forgetting + steps), 1.0)
+        return noise._replace(mark=np.where(calmer, noise.least, noise.mark), steps=steps), weight
+
+
+def _measure(observation: Observation, was: Noise, steps: FloatArray, owned: BoolArray) -> Noise:
+    """Return the noise after the messages of this step.
+
+    In the second step, after which the estimates of others move, their first differences are noise alone; ``owned``
+    says whether sender or receiver own a component, (R, D, n), and ``steps`` (R, 1) counts the steps so far.
+    """
+    live, content = observation.weights > 0, observation.own_estimate[:, None] + observation.relative_estimates
+    age = np.where(live, was.age + 1, 0.0)
+    change = np.abs(content - was.last)
+    smooth = np.abs(content - 2 * was.last + was.before) / np.sqrt(3)
+    is_second = steps == 1
+    change = np.where(is_second[:, :, None], np.where(owned, 0.0, change), np.minimum(change, smooth))
+    lasted = age >= np.where(is_second, 2, 3)
+    largest_change = np.where(lasted, row_maxima(change), -np.inf).max(axis=1, keepdims=True)
+    least = np.where(lasted.any(axis=1, keepdims=True), np.minimum(was.least, largest_change), was.least)
+    return was._replace(last=content, before=was.last, age=age, least=least)
+
+
+def _respond(model: Model, drift: FloatArray, blocks: IntArray, is_own: BoolArray) -> FloatArray:
+    """Return the damped best response Δx_i to the estimates after a ``drift`` (R, n) of the others, shape (R, m)."""
+    curvature, doubt, vectors = own_curvatures(model, blocks)
+    curvature = np.where(curvature > doubt, curvature, np.abs(curvature) + doubt)
+    others = np.where(is_own[:, None], 0.0, model.rows)
+    coupling = np.abs(others).sum(axis=2).max(axis=1, keepdims=True)
+    excess = np.maximum(coupling - curvature, 0.0)
+    lead = np.where(excess.any(axis=1, keepdims=True), _LEAD, 1.0)
+    wanted = model.gradient + np.einsum("rmn,rn->rm", others, lead * drift)
+    along = np.einsum("rba,rb->ra", vectors, wanted)
+    divisor = curvature + _DAMPING * excess
+    along = np.where(divisor > 0, along / np.where(divisor > 0, divisor, 1.0), 0.0)
+    return shorten(-np.einsum("rab,rb->ra", vectors, along), model.radius)
