@@ -91,7 +91,7 @@ def pictures(policy: str, count: int) -> Iterator[Any]:
 def main() -> None:
     """Draw and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--policy", default="observer-relay")
+    parser.add_argument("--policy", default="relay")
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "images" / "tracks.gif")
     given = parser.parse_args()
     write_atomically(given.out, encode_gif(pictures(given.policy, PICTURES), PER_SECOND))

@@ -29,13 +29,13 @@ WORLDS = {"robustness": robustness(1), "robustness-2": robustness(2)}
 
 TRAINED = "recurrent-random-worlds"
 SHOWN = (
-    *("static", "grounded", "routed-unknown", "contact-relay", "observer-relay", "residual-coder"),
+    *("static", "grounded", "routed-unknown", "relay", "relay", "residual-coder"),
     *("ppo-ptne-v1", TRAINED, "oracle"),
 )
 """The policies of the short table of the suite."""
 
-SHOWN_ON_WORLDS = ("static", "grounded", "proximal-best-response", "routed-unknown", "contact-relay", "observer-relay")
-SHOWN_ON_SCENARIOS = ("static", "grounded", "routed-unknown", "observer-relay", "ppo-random-energy", "oracle")
+SHOWN_ON_WORLDS = ("static", "grounded", "proximal-best-response", "routed-unknown", "relay", "relay")
+SHOWN_ON_SCENARIOS = ("static", "grounded", "routed-unknown", "relay", "ppo-random-energy", "oracle")
 NEAR = 0.5
 """Digits by which a policy may miss the best one and is near."""
 

@@ -62,7 +62,7 @@ def test_the_published_numbers_are_of_policies_scenarios_and_tracks_that_exist()
 
 
 def test_a_small_run_gives_rows_from_which_every_table_of_the_suite_is_written(tmp_path):
-    policies = ["static", "observer-relay", published.TRAINED, "oracle"]
+    policies = ["static", "relay", published.TRAINED, "oracle"]
     results = run_suite("ptne-v1", policies, tracks=["rounding", "short-deadline"], episodes=8)
     rows = list(publish.rows_of(results))
     with (tmp_path / "results.csv").open("w", newline="") as file:
@@ -70,14 +70,14 @@ def test_a_small_run_gives_rows_from_which_every_table_of_the_suite_is_written(t
         writer.writeheader()
         writer.writerows(rows)
     numbers = published.read(tmp_path / "results.csv")
-    lead = results.difference(published.TRAINED, "observer-relay", "short-deadline")
+    lead = results.difference(published.TRAINED, "relay", "short-deadline")
     cell = numbers.cell("ptne-v1", "short-deadline", published.TRAINED, published.MINUS_BEST_LAW)
     assert float(cell["low"]) == pytest.approx(lead.low, rel=1e-6)
     assert lead.low > 0
-    law = results.record("rounding", "observer-relay", "digits")["mean"]
+    law = results.record("rounding", "relay", "digits")["mean"]
     network = results.record("short-deadline", published.TRAINED, "digits")["mean"]
     table = published.headline(numbers)
-    assert re.search(rf"\| rounding .*\| \*\*{law:.2f} observer-relay\*\* \|", table)  # each where it leads
+    assert re.search(rf"\| rounding .*\| \*\*{law:.2f} relay\*\* \|", table)  # each where it leads
     assert re.search(rf"\| short-deadline .*\| \*\*{network:.2f}\*\* \|", table)
     score = next(row for row in leaderboard(results) if row.policy == "static")
     digits, on_the_way, worst = (

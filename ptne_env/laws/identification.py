@@ -25,6 +25,9 @@ _PRECISION = 1e-11
 _REST = 1e-24
 """A displacement is none whose square is below this share of the square of the largest own estimate."""
 
+_SEEN = 8.0
+"""A change of the gradient is seen that is above this many resolutions."""
+
 _MARGIN = 3.0
 """Number of standard deviations by which a curvature must exceed 0 to count as positive."""
 
@@ -62,12 +65,14 @@ def identify(
 ) -> Model:
     """Update a model by recursive least squares with y = G φ + noise, where φ and y are the changes since last step.
 
-    G ← G + (y − G φ) kᵀ and P ← P − (φᵀ P φ + r) k kᵀ with k = P φ/(φᵀ P φ + r). The variance r of y is that of float32,
-    and 1e-11 (trace(P) + w²) ‖φ‖², which keeps P positive. Where the prediction fails, ‖y − G φ‖²_∞ > 9 (φᵀ P φ + r),
-    the rows have changed, and the old data are forgotten first, in the direction of φ alone, as far as the failure
-    shows, and at most as far as at the start: P ← P + min(‖y − G φ‖²_∞ − 9 (φᵀ P φ + r), w² ‖φ‖²) φφᵀ/‖φ‖⁴. So P never
-    grows without a displacement, data in other directions are kept, and on a game that is not affine the update tends
-    to Broyden's.
+    G ← G + (y − G φ) kᵀ and P ← P − (φᵀ P φ + r) k kᵀ with k = P φ/(φᵀ P φ + r). The variance r of y is that of
+    float32, and 1e-11 (trace(P) + w²) ‖φ‖², which keeps P positive.
+
+    Where the prediction fails, ‖y − G φ‖²_∞ > 9 (φᵀ P φ + r), the rows have changed, and the old data are forgotten
+    first, in the direction of φ alone, as far as the failure shows, and no further than at the start:
+    P ← P + min(‖y − G φ‖²_∞ − 9 (φᵀ P φ + r), w² ‖φ‖²) φφᵀ/‖φ‖⁴, where w grows to the largest ‖y‖_∞/‖φ‖ that was seen.
+    So P never grows without a displacement, data in other directions are kept, and on a game that is not affine the
+    update tends to Broyden's.
 
     The radius of the trust region is twice the largest own displacement so far, until a prediction fails by more than
     half of the gradient before; then it is half of the last displacement.
@@ -91,6 +96,9 @@ def identify(
     known = np.abs(was.rows).max(axis=(1, 2))[:, None]
     seen = RESOLUTION * (largest(gradient) + largest(was.gradient) + 2 * _BENT * known * scale)
     length = np.einsum("rn,rn->r", displacement, displacement)[:, None]
+    is_seen = (largest(change) > _SEEN * seen) & (length > _REST * scale**2)
+    secant = np.where(is_seen, largest(change) / np.sqrt(np.where(is_seen, length, 1.0)), 0.0)
+    widest = np.maximum(widest, secant)
     most = np.trace(covariance, axis1=1, axis2=2)[:, None] + widest**2
     variance = seen**2 + _PRECISION * most * length
     error = change - np.einsum("rmn,rn->rm", was.rows, displacement)
@@ -115,18 +123,23 @@ def identify(
     return Model(rows, covariance, widest, estimate, gradient, radius, np.ones_like(radius))
 
 
-def own_curvatures(model: Model, blocks: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def own_curvatures(
+    model: Model, blocks: IntArray, held: BoolArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the eigenvalues of the symmetric own blocks G_ii, three standard deviations of them, and the eigenvectors.
 
     Args:
         model: the model of R players.
         blocks: own components, padded with n, shape (R, m).
+        held: own components that a bound holds, whose entries beside the diagonal count as 0, shape (R, m).
 
     Returns:
         Arrays of shape (R, m), (R, m) and (R, m, m). The curvature of a padded component is infinite.
     """
     padded, places = blocks == model.rows.shape[2], np.arange(blocks.shape[1])
     block = np.take_along_axis(model.rows, np.minimum(blocks, model.rows.shape[2] - 1)[:, None, :], axis=2)
+    if held is not None:
+        block = np.where(held[:, :, None] | held[:, None, :], block * np.eye(len(places)), block)
     above = 1 + 2 * np.abs(block).sum(axis=(1, 2), keepdims=True)  # so padded components have the largest eigenvalues
     block = np.where(padded[:, :, None] | padded[:, None, :], above * np.eye(len(places)), block)
     curvature, vectors = np.linalg.eigh((block + block.swapaxes(1, 2)) / 2)

@@ -28,11 +28,11 @@ class ProximalBestResponse(RecordLaw):
     proximal-point algorithm for Nash equilibrium seeking with linear convergence rate", arXiv:1910.11613, 2019.
 
     A player sees its own gradient only, so the argmin is that of the quadratic model with the identified own row G of
-    dF, :func:`~ptne_env.laws.identification.identify`: (2 I + α G_ii) Δx_i = h Σ_j a_ij (x^j_i − x^i_i) − α (∂J_i/∂x_i +
-    G_{i,−i} Δx_{−i}). It is exact for affine F as soon as the row is known. Until then three standard deviations are
-    added to each curvature of G_ii, and a curvature below 0 counts as 0. Because F need not be affine, no own
-    displacement after the first step is longer than the trust region. In a box the environment projects the step, which
-    is the argmin in the box where n_i = 1. The memory is the model.
+    dF, :func:`~ptne_env.laws.identification.identify`: (2 I + α G_ii) Δx_i = h Σ_j a_ij (x^j_i − x^i_i) −
+    α (∂J_i/∂x_i + G_{i,−i} Δx_{−i}). It is exact for affine F as soon as the row is known. Until then three standard
+    deviations are added to each curvature of G_ii, and a curvature below 0 counts as 0. Because F need not be affine,
+    no own displacement after the first step is longer than the trust region. In a box the environment projects the
+    step, which is the argmin in the box where n_i = 1. The memory is the model.
 
     Args:
         layout: the layout of the environment, with the interface ``physical``.

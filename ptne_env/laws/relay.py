@@ -36,7 +36,7 @@ _DAMPING = 3.0
 ten times as fast as they contract, with delays of up to two steps, has its optimum between 2.5 and 3.5."""
 
 _LEAD = 2.5
-"""Steps for which a damped response expects the copies to go on as in this one, by the same analysis."""
+"""Most steps for which a damped response expects the copies to go on as in this one, by the same analysis."""
 
 _SIGNAL = 8.0
 """A difference to the sources above this many times σ is no noise, and neither is a fall of σ to this part of it."""
@@ -46,6 +46,13 @@ _NEWS = 20.0
 
 _LOUDEST = 0.03
 """A change of messages above this share of the scale is news in any case."""
+
+
+_HELD = 0.1
+"""A bound holds a component that moved less than this share of the displacement that was asked for."""
+
+_RESOLVED = 1e-6
+"""Smallest displacement, in units of the scale, at which that is judged."""
 
 
 class Noise(NamedTuple):
@@ -66,7 +73,7 @@ class RelayMemory(NamedTuple):
     contacts: Contacts  # with the neighbours
     noise: Noise  # of their messages
     model: Model  # of the own gradient
-    asked: FloatArray  # the last moves of the estimates of others, shape (R, n)
+    asked: FloatArray  # the displacement that was asked for, shape (R, n)
 
 
 class Relay(RecordLaw):
@@ -84,12 +91,14 @@ class Relay(RecordLaw):
     3. *Copies.* Δx^i_c = w × mean of (x^j_c − x^i_c) over the live sources j of component c of another player.
     4. *Identification.* :func:`~ptne_env.laws.identification.identify` updates the rows G of dF from the changes of own
        estimates and own gradient.
-    5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + ℓ G_{i,−i} Δx_{−i}), the best response to the copies. D has the
+    5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l G_{i,−i} Δx_{−i}), the best response to the copies. D has the
        eigenvectors of the own block G_ii, and the eigenvalues d (1 + 3 max(0, ρ − 1)), where d is the curvature, plus
        three standard deviations where it is not certainly positive, and ρ = Σ_j |G_ij|/d is the contraction of best
        responses in the maximum norm, the largest row counting. Where ρ ≤ 1 they contract whatever the delays, D = G_ii
-       and ℓ = 1; in games that rotate they would not, and are damped, and ℓ = 2.5 expects the copies to go on.
-       No step is longer than the trust region of the model.
+       and l = 1; in games that rotate they would not, and are damped, and l = min(2.5, D/Σ_j |G_ij|) expects the
+       copies to go on.
+       Components at a bound, which did not move when they were asked to, count as fixed. No step is longer than the
+       trust region of the model.
 
     In the first m steps the estimates of others rest, and one own component after the other moves, so that the first
     changes of messages are noise alone, and the own block of dF is known at once.
@@ -124,9 +133,7 @@ class Relay(RecordLaw):
         noise = _measure(observation, was.noise, was.steps, owners | is_own[:, None])
         loudest = np.minimum(_NEWS * np.where(np.isfinite(noise.least), noise.least, 0.0), _LOUDEST * scale)
         drifted = np.where(is_own, 0.0, was.asked)
-        sources, contacts = find_sources(
-            observation, was.contacts, was.steps > 0, drifted, owners, loudest[:, :, None]
-        )
+        sources, contacts = find_sources(observation, was.contacts, was.steps > 0, drifted, owners, loudest[:, :, None])
         is_probe = was.steps < blocks.shape[1]
         mean = np.where(is_own | is_probe, 0.0, mean_difference(observation, sources))
         noise, weight = self._weigh(noise, mean)
@@ -135,13 +142,13 @@ class Relay(RecordLaw):
         gradient = own_entries(observation.gradient, blocks)
         widest = _SPREAD * largest(gradient) / np.where(scale > 0, scale, 1.0)
         model = identify(was.model, estimate, gradient, widest, _FIRST * scale, is_own)
-        response = _respond(model, drift, blocks, is_own)
+        asked, moved = own_entries(was.asked, blocks), own_entries(estimate - was.model.estimate, blocks)
+        held = (np.abs(moved) < _HELD * np.abs(asked)) & (np.abs(asked) > _RESOLVED * scale)
+        response = _respond(model, drift, blocks, is_own, held)
         response = np.where(is_probe & (np.arange(blocks.shape[1]) != was.steps), 0.0, response)
         displacement = with_own(drift, response, blocks)
         asked = clip_to_reach(displacement, observation, layout)
-        return per_step(displacement, observation), self.pack(
-            RelayMemory(was.steps + 1, contacts, noise, model, asked)
-        )
+        return per_step(displacement, observation), self.pack(RelayMemory(was.steps + 1, contacts, noise, model, asked))
 
     def _weigh(self, noise: Noise, mean: FloatArray) -> tuple[Noise, FloatArray]:
         """Return the noise after the differences (R, n) to the sources, and the weight w of copies, shape (R, 1)."""
@@ -170,16 +177,17 @@ def _measure(observation: Observation, was: Noise, steps: FloatArray, owned: Boo
     return was._replace(last=content, before=was.last, age=age, least=least)
 
 
-def _respond(model: Model, drift: FloatArray, blocks: IntArray, is_own: BoolArray) -> FloatArray:
+def _respond(model: Model, drift: FloatArray, blocks: IntArray, is_own: BoolArray, held: BoolArray) -> FloatArray:
     """Return the damped best response Δx_i to the estimates after a ``drift`` (R, n) of the others, shape (R, m)."""
-    curvature, doubt, vectors = own_curvatures(model, blocks)
+    curvature, doubt, vectors = own_curvatures(model, blocks, held)
     curvature = np.where(curvature > doubt, curvature, np.abs(curvature) + doubt)
     others = np.where(is_own[:, None], 0.0, model.rows)
     coupling = np.abs(others).sum(axis=2).max(axis=1, keepdims=True)
     excess = np.maximum(coupling - curvature, 0.0)
-    lead = np.where(excess.any(axis=1, keepdims=True), _LEAD, 1.0)
-    wanted = model.gradient + np.einsum("rmn,rn->rm", others, lead * drift)
-    along = np.einsum("rba,rb->ra", vectors, wanted)
     divisor = curvature + _DAMPING * excess
+    is_loose = excess.any(axis=1, keepdims=True)
+    lead = np.minimum(_LEAD, divisor.min(axis=1, keepdims=True) / np.where(is_loose, coupling, 1.0))
+    wanted = model.gradient + np.einsum("rmn,rn->rm", others, np.where(is_loose, lead, 1.0) * drift)
+    along = np.einsum("rba,rb->ra", vectors, wanted)
     along = np.where(divisor > 0, along / np.where(divisor > 0, divisor, 1.0), 0.0)
     return shorten(-np.einsum("rab,rb->ra", vectors, along), model.radius)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ptne_env.laws.base import RecordLaw, per_step
-from ptne_env.laws.sources import Contacts, find_sources, initial_contacts, mean_difference
 from ptne_env.laws.identification import RESOLUTION, clip_to_reach, largest
+from ptne_env.laws.sources import Contacts, find_sources, initial_contacts, mean_difference
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 

@@ -79,10 +79,10 @@ def test_every_default_law_stands_where_the_equilibrium_is_zero():
         topology=FactorySpec.of("topology:path", players=2),
         start="random",
     )
-    policies = {"contact-relay", *(name for name in COMPARED if not name.startswith("ppo-"))}
+    policies = {"relay", *(name for name in COMPARED if not name.startswith("ppo-"))}
     results = evaluate(policies, scenario, episodes=3)
     assert not results.failures
-    assert results.record("zero", "contact-relay", "regret")["high"] < 1e-85
+    assert results.record("zero", "relay", "regret")["high"] < 1e-85
     json.loads(results.to_json())
 
 

@@ -1,7 +1,7 @@
 """Attacks on the suite: laws that gain digits from the channel and not from the game, and a table of what they gain.
 
 ``python tests/execution/attacks.py [EPISODES]`` prints, for every scored track, digits at T and their mean over the
-second half of the steps: those of observer-relay, and what the attacks gain over it.
+second half of the steps: those of relay, and what the attacks gain over it.
 """
 
 import sys
@@ -12,7 +12,7 @@ import numpy as np
 
 from ptne_env.evaluation.audit import Witness, rows_of_one, with_links_of
 from ptne_env.evaluation.rollout import rollout
-from ptne_env.laws import Law, ObserverRelay, ResidualCoder
+from ptne_env.laws import Law, Relay, ResidualCoder
 from ptne_env.laws.base import per_step
 from ptne_env.perception.encoder import Encoder
 from ptne_env.suites import get_suite
@@ -23,11 +23,11 @@ OWN = 1e6  # times that the own equations count as heard
 
 
 class Attack(Law):
-    """A law around observer-relay. Its memory: the number of steps, parts of some shapes, that of observer-relay."""
+    """A law around relay. Its memory: the number of steps, parts of some shapes, that of relay."""
 
     def __init__(self, layout, *shapes):
         super().__init__(layout)
-        self.inner, self.shapes = ObserverRelay(layout), ((1,), *shapes)
+        self.inner, self.shapes = Relay(layout), ((1,), *shapes)
         self.ends = np.cumsum([np.prod(shape, dtype=int) for shape in self.shapes])
         reach = layout.action_bound * layout.largest_clock[2] / 2  # so that inputs can ask for every move
         self.most = FILL * min(layout.message_range, reach)
@@ -42,7 +42,7 @@ class Attack(Law):
         return [*(part.reshape(len(memory), *shape).copy() for part, shape in pairs), inner]
 
     def moved(self, observation, memory):
-        """The displacement (R, n) that observer-relay wants, and its memory."""
+        """The displacement (R, n) that relay wants, and its memory."""
         inputs, after = self.inner.inputs(observation, memory)
         return inputs * observation.theta, after
 
@@ -57,7 +57,7 @@ class Attack(Law):
 
 
 class Loud(Attack):
-    """observer-relay in the coordinates z = x/A: it plays A z, so that noise shrinks by A, and z in the last step.
+    """relay in the coordinates z = x/A: it plays A z, so that noise shrinks by A, and z in the last step.
 
     In affine games the gradient at z is (∂J(A z) − ∂J(0))/A + ∂J(0), so the first step goes to 0. In the first ``wait``
     steps old messages arrive, and nothing moves.
@@ -65,7 +65,7 @@ class Loud(Attack):
 
     def __init__(self, layout, gain=3.0, wait=1):
         super().__init__(layout, (layout.dimension,), (layout.dimension,))
-        self.inner = ObserverRelay(replace(layout, input_limit=layout.input_limit / gain))
+        self.inner = Relay(replace(layout, input_limit=layout.input_limit / gain))
         self.gain, self.wait = gain, wait
 
     def inputs(self, observation, memory):
@@ -87,7 +87,7 @@ class Equations(Attack):
     For n + 3 steps a player moves its estimates and fits its own gradient by an affine function. Then its estimate of
     component c carries entry k mod (n + 3) of equation c: n coefficients, the constant in units of 64 and two
     checksums; or 0 where it knows no equation. From step ``switch`` on it rests at the solution. A player follows
-    observer-relay if it has learned nothing in four rounds, or then lacks an equation. The largest entry is sent as
+    relay if it has learned nothing in four rounds, or then lacks an equation. The largest entry is sent as
     ``size``, by default so that it fills the range.
     """
 
@@ -160,7 +160,7 @@ def beginning(track, episodes, seed=0):
 
 def played(track, law, episodes, seed=0, *, audit=False):
     """Digits at T, and their mean over the second half of the steps, shape (2, B); an audit raises a PolicyError."""
-    encoder, witnesses = Encoder(track.world, ObserverRelay.interface), []
+    encoder, witnesses = Encoder(track.world, Relay.interface), []
     if audit:
         player, rows = rows_of_one(episodes, encoder.layout.num_players)
         witnesses = [Witness(law(with_links_of(encoder.layout, player)), rows)]
@@ -186,12 +186,12 @@ CODER = partial(Equations, size=1.0)
 
 def main(episodes):
     """Print the table."""
-    print("| track | room | observer-relay | loud | coder | coder that fills the range | residual-coder |")
+    print("| track | room | relay | loud | coder | coder that fills the range | residual-coder |")
     print("| --- " + "| ---: " * 6 + "|")
     for track in get_suite("ptne-v1").tracks:
         if track.scored:
             count, name = min(episodes, track.episodes or episodes), track.name
-            base = played(track, ObserverRelay, count).mean(axis=1)
+            base = played(track, Relay, count).mean(axis=1)
             cells = [f"{room(track, count):.2f}", "{:.2f} / {:.2f}".format(*base)]
             attacks = LOUD.get(name, Loud), CODER, Equations, ResidualCoder
             gains = (played(track, attack, count).mean(axis=1) - base for attack in attacks)

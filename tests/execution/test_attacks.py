@@ -1,4 +1,4 @@
-"""Attacks: what playing loud and code gain over observer-relay through channels of the suite."""
+"""Attacks: what playing loud and code gain over relay through channels of the suite."""
 
 from functools import cache, partial
 
@@ -6,7 +6,7 @@ import pytest
 from attacks import CODER, LOUD, Loud, played, room
 
 from ptne_env.evaluation import Track
-from ptne_env.laws import ObserverRelay
+from ptne_env.laws import Relay
 from ptne_env.suites import get_suite
 
 EPISODES = 5
@@ -21,11 +21,11 @@ def track(name, **changes):
 
 @cache
 def relayed(at):
-    return played(at, ObserverRelay, EPISODES)
+    return played(at, Relay, EPISODES)
 
 
 def gained(at, attack):
-    """What an attack gains over observer-relay: mean digits at T, and over the second half of the steps."""
+    """What an attack gains over relay: mean digits at T, and over the second half of the steps."""
     return (played(at, attack, EPISODES) - relayed(at)).mean(axis=1)
 
 

@@ -26,7 +26,7 @@ def published_suite():
 @pytest.fixture(scope="module")
 def data(published_suite):
     own = PolicySpec("mine", FactorySpec.of("law:grounded", kappa=3.0))
-    return run_suite("small-v1", ["grounded", "contact-relay", "ppo-random-energy", own]).to_dict()
+    return run_suite("small-v1", ["grounded", "relay", "ppo-random-energy", own]).to_dict()
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def add_ghost(data):
 
 
 def exchange_names(data):
-    for policy, name in zip(data["policies"], ("contact-relay", "grounded"), strict=False):
+    for policy, name in zip(data["policies"], ("relay", "grounded"), strict=False):
         policy["name"] = name
 
 
@@ -193,7 +193,7 @@ FORGERIES = {
         "episodes ring split is 'train', expected 'test'",
     ),
     "fewer episodes": (fewer_episodes, "episodes ring count is 3, expected 5"),
-    "exchanged names": (exchange_names, "policies grounded training_seeds 0 .*law:contact-relay.*law:grounded"),
+    "exchanged names": (exchange_names, "policies grounded training_seeds 0 .*law:relay.*law:grounded"),
     "a better reference policy": (
         lambda data: of_policy(data, "static")["training_seeds"][0].update(arguments={"kappa": 9.0}),
         "policies static training_seeds 0 arguments kappa is 9.0, expected 2.0",
@@ -328,7 +328,7 @@ def test_on_another_machine_numbers_of_other_episodes_do_not_agree(written):
     def forge(data):
         for track in ("ring", "complete"):
             samples_of(data, track=track)["digits"] = [sorted(*samples_of(data, track=track)["digits"])]
-        swap(data, "contact-relay")
+        swap(data, "relay")
         declare_another_machine(data)
 
     assert {one.policy for one in verify(written(forge)).repetitions if not one.agrees} == {"grounded"}

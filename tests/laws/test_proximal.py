@@ -8,7 +8,6 @@ from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
 from worlds import channel_part, fixed_part
 
 from ptne_env import Interface, evaluate, get_scenario, laws
-from ptne_env.laws.building_blocks import own_gradient
 from ptne_env.perception.encoder import Encoder
 from ptne_env.world.world import World
 
@@ -59,16 +58,6 @@ def test_players_with_several_components_solve_for_their_block():
     jacobian, offset = game.matrices[..., 0], game.offsets[:, 0]
     expected = proximal_point(jacobian, offset, game.owners, adjacency, states[50], 1.0, 0.3)
     assert np.linalg.norm(expected - states[51]) < 1e-2 * np.linalg.norm(states[51] - states[50])
-
-
-def test_large_games_identify_the_own_block_alone(monkeypatch):
-    monkeypatch.setattr(own_gradient, "LARGEST_ROW", 1)
-    world = World(get_scenario("energy", start="random"))
-    law = laws.ProximalBestResponse(Encoder(world, Interface("physical")).layout)
-    assert law.initial_memory(2).shape == (2, 1 + 1 + 5 + 1 + 1 + 1)
-    states = played(world)
-    errors = np.abs(states - world.game.nash_equilibrium[:, None]).max(axis=(1, 2))
-    assert errors[-1] < 1e-6 * errors[0]
 
 
 def test_trust_region_keeps_steps_short_where_gradients_are_not_affine():

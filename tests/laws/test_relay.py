@@ -1,24 +1,34 @@
-"""The contact relay: best responses, its convergence with every kind of player and message, and its caution."""
+"""The relay: its response, the plainest inputs, games that rotate, and every kind of player and message."""
 
 import numpy as np
 import pytest
-from affine_games import loop_start, run
-from worlds import BLOCKS, BLOCKS_SWITCHING, channel_part, world_and_encoder
+from affine_games import affine_scenario, loop_start, run
+from worlds import BLOCKS, BLOCKS_SWITCHING, begin, channel_part, fixed_part, world_and_encoder
 
-from ptne_env import evaluate, get_scenario, laws
-from ptne_env.laws.building_blocks.own_gradient import Model, best_response
+from ptne_env import FactorySpec, evaluate, get_scenario, laws
+from ptne_env.laws import relay
+from ptne_env.laws.identification import initial_model
 
 RANDOM = get_scenario("random-energy")
 
 
-def response(rows, gradient, drift, held=False, radius=1e6, covariance=None, is_fixed=False):
+def response(rows, gradient, drift, radius=1e6, covariance=0.0, held=False):
     """Displacement of a player whose m own components come first, and who knows its rows."""
     rows = np.asarray(rows, dtype=float)[None]
-    m, size = rows.shape[1:]
-    model = Model(rows, np.zeros((1, size, size)) if covariance is None else covariance[None])
-    places, is_held = np.arange(m)[None], np.broadcast_to(held, (1, m))
-    arrays = np.array(gradient, dtype=float)[None], np.array(drift, dtype=float)[None]
-    return best_response(model, *arrays, places, is_held, np.full((1, 1), radius), np.full((1, 1), is_fixed))[0]
+    m, n = rows.shape[1:]
+    model = initial_model(world_and_encoder("energy")[1].layout)._replace(
+        rows=rows,
+        covariance=covariance * np.eye(n)[None],
+        gradient=np.array(gradient, dtype=float)[None],
+        radius=np.full((1, 1), radius),
+    )
+    return relay._respond(
+        model,
+        np.array(drift, dtype=float)[None],
+        np.arange(m)[None],
+        np.arange(n)[None] < m,
+        np.broadcast_to(held, (1, m)),
+    )[0]
 
 
 def test_best_response_zeroes_the_own_gradient_at_the_next_estimates():
@@ -31,23 +41,79 @@ def test_best_response_zeroes_the_own_gradient_at_the_next_estimates():
 @pytest.mark.parametrize(
     ("rows", "gradient", "arguments", "expected"),
     [
-        ([[1.0, 2.0, -2.0]], [4.0], {}, [-1.0]),  # damped: the row sum beside the diagonal is 4
+        ([[1.0, 2.0, -2.0]], [4.0], {}, [-0.4]),  # damped: the curvature 1 and three times the excess of 4
         ([[-2.0, 0.0]], [4.0], {}, [-2.0]),  # a negative curvature gives a gradient step
-        ([[-2.0, 0.0]], [4.0], {"is_fixed": True, "radius": 3.0}, [-3.0]),  # or one as long as the trust region
-        ([[0.0, 0.0]], [6.0], {"covariance": 100.0 * np.eye(2)}, [-6 / 30]),  # and an unknown one a short step
+        ([[0.0, 0.0]], [6.0], {"covariance": 100.0}, [-6 / 30]),  # and an unknown one a short step
+        ([[0.0, 0.0]], [6.0], {}, [0.0]),  # without curvature there is no step
         ([[1.0, 0.0], [0.0, 1.0]], [4.0, -2.0], {"radius": 1.0}, [-1.0, 0.5]),  # the trust region shortens
         ([[2.0, 1.0], [1.0, 2.0]], [-2.0, 1.0], {"held": [True, False]}, [1.0, -0.5]),  # as if the held one stayed
     ],
 )
-def test_best_response_is_cautious(rows, gradient, arguments, expected):
+def test_response_is_cautious(rows, gradient, arguments, expected):
     assert response(rows, gradient, [0.0] * len(rows[0]), **arguments) == pytest.approx(expected)
 
 
+def test_a_damped_response_expects_copies_to_go_on():
+    assert response([[1.0, 4.0]], [0.0], [0.0, 1.0]) == pytest.approx([-2.5 * 4 / 10])
+    assert response([[5.0, 4.0]], [0.0], [0.0, 1.0]) == pytest.approx([-4 / 5])
+
+
+def starts(scale, **changes):
+    start = FactorySpec.of("start:uniform", low=-scale, high=scale)
+    return RANDOM.replace(name=f"±{scale:g}", start=start, **changes)
+
+
+PLAIN = [starts(scale) for scale in (0.01, 1e-6, 1e-12, 1e4)]
+ZERO = starts(1.0, game=FactorySpec.of("game:random-energy", players=5, target=(-1e-300, 1e-300), base_price=0.0))
+ROTATING = get_scenario(
+    "random-affine",
+    name="rotating",
+    game=FactorySpec.of("game:random-affine", players=5, epsilon=0.1, asymmetry=10.0),
+    channel=channel_part("AdditiveNoise", std=0.001),
+)
+
+
+def test_the_plainest_starts_cost_no_digits():
+    """A small start is no small problem, and x* = 0 no division by 0."""
+    results = evaluate(["relay"], [*PLAIN, ZERO], episodes=10)
+    assert len(results.samples) == len(PLAIN) + 1
+    for samples in results.samples.values():
+        assert samples["digits"].mean() > 11.5
+
+
+@pytest.mark.parametrize("point", ["equilibrium", "zero", "equal", "far"])
+def test_a_start_without_differences_is_no_division_by_zero(point):
+    world, encoder = world_and_encoder("energy")
+    start = begin(world, [0])
+    value = {"equilibrium": world.game.nash_equilibria, "zero": 0.0, "equal": 7.0, "far": 1e4}[point]
+    estimates = np.broadcast_to(np.broadcast_to(value, (5, 1))[:, None], start.estimates.shape)
+    state = start._replace(estimates=estimates.copy(), own_gradients=world.game.own_gradients(estimates))
+    with np.errstate(divide="raise", invalid="raise", over="raise"):
+        states = run(world, encoder, laws.Relay(encoder.layout), state)[..., 0]
+    assert np.abs(states[-1] - world.game.nash_equilibrium[:, None]).max() < 1e-8
+
+
+def test_games_that_rotate_come_to_rest():
+    """Undamped best responses have a spectral radius of up to 10 there, and every other law loses digits."""
+    results = evaluate(["relay", "static"], [ROTATING], episodes=20)
+    digits = {name: results.samples["rotating", name]["digits"].mean() for name in ("relay", "static")}
+    assert digits["relay"] > 2
+    assert digits["static"] < 0
+
+
+def test_two_players_who_chase_each_other_meet():
+    """Each player's own curvature is a third of the coupling; the start is up to 20 units away."""
+    world, encoder = world_and_encoder(
+        affine_scenario([[0.3, 1.0], [-1.0, 0.3]], [1.0, -2.0], fixed_part(1 - np.eye(2)))
+    )
+    states = run(world, encoder, laws.Relay(encoder.layout), loop_start(world))[..., 0]
+    assert np.abs(states[-1] - world.game.nash_equilibrium[:, None]).max() < 0.02
+
+
 @pytest.mark.parametrize("scenario", [BLOCKS, BLOCKS_SWITCHING], ids=lambda scenario: scenario.name)
-@pytest.mark.parametrize("law", [laws.ContactRelay, laws.ObserverRelay])
-def test_players_of_unequal_dimensions_reach_the_equilibrium(law, scenario):
+def test_players_of_unequal_dimensions_reach_the_equilibrium(scenario):
     world, encoder = world_and_encoder(scenario)
-    states = run(world, encoder, law(encoder.layout), loop_start(world))[..., 0]
+    states = run(world, encoder, laws.Relay(encoder.layout), loop_start(world))[..., 0]
     assert np.abs(states[-1] - world.game.nash_equilibrium[:, None]).max() < 1e-8
 
 
@@ -55,7 +121,7 @@ def test_relay_reaches_many_digits_in_games_and_with_messages_of_all_kinds():
     """Several components at a bound, curvature far from 1, costs that are not quadratic, and late messages."""
     late = RANDOM.replace(name="late", channel=channel_part("Delay", steps=1, longest=7))
     names = ["random-energy", "ev-charging", "cournot", "oligopoly", "non-quadratic", late]
-    results = evaluate(["contact-relay"], names, episodes=3)
+    results = evaluate(["relay"], names, episodes=3)
     assert len(results.samples) == len(names)
     for samples in results.samples.values():
         assert np.median(samples["digits"]) > 10
@@ -63,12 +129,12 @@ def test_relay_reaches_many_digits_in_games_and_with_messages_of_all_kinds():
 
 def test_noise_is_averaged():
     noisy = RANDOM.replace(name="noisy", channel=channel_part("AdditiveNoise", std=0.05))
-    results = evaluate(["contact-relay", "grounded"], [noisy], episodes=10)
-    relay, plain = (results.samples["noisy", name]["digits"].mean() for name in ("contact-relay", "grounded"))
+    results = evaluate(["relay", "grounded"], [noisy], episodes=10)
+    relay, plain = (results.samples["noisy", name]["digits"].mean() for name in ("relay", "grounded"))
     assert relay > plain + 0.3
 
 
 @pytest.mark.parametrize("name", ["patience", "forgetting"])
 def test_wrong_numbers_are_named(name):
     with pytest.raises(ValueError, match=f"{name} must be a finite number above 0"):
-        laws.ContactRelay(world_and_encoder("energy")[1].layout, **{name: 0.0})
+        laws.Relay(world_and_encoder("energy")[1].layout, **{name: 0.0})

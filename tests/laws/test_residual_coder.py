@@ -5,7 +5,7 @@ import pytest
 from ptne_env import FactorySpec, evaluate, get_scenario
 from ptne_env.suites import get_suite
 
-PAIR = ["observer-relay", "residual-coder"]
+PAIR = ["relay", "residual-coder"]
 DELAYED = get_scenario("random-energy").replace(
     name="delayed",
     message_range=100.0,
@@ -17,7 +17,7 @@ DELAYED = get_scenario("random-energy").replace(
 
 
 def gain(world):
-    """The mean digits that code gains over observer-relay."""
+    """The mean digits that code gains over relay."""
     results = evaluate(PAIR, [world], episodes=10)
     plain, coded = (results.samples[world.name, law]["digits"].mean() for law in PAIR)
     return coded - plain

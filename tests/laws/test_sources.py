@@ -6,7 +6,7 @@ from affine_games import SOAK, affine_scenario, random_affine, run
 from worlds import begin, channel_part, fixed_part, world_and_encoder
 
 from ptne_env import FactorySpec, evaluate, get_scenario, laws
-from ptne_env.laws.building_blocks.messages import Contacts, find_sources
+from ptne_env.laws.sources import Contacts, find_sources
 
 
 class Sight:
@@ -141,12 +141,12 @@ def test_moves_within_noise_add_up_while_the_own_copy_rests():
 
 def test_sources_are_found_where_links_switch_and_where_messages_are_noisy():
     noisy = get_scenario("random-energy").replace(name="noise", channel=channel_part("AdditiveNoise", std=0.05))
-    laws = ["routed-unknown", "contact-relay", "static"]
+    laws = ["routed-unknown", "relay", "static"]
     results = evaluate(
         laws, [noisy, get_scenario("random-energy-switching-transformed")], episodes=20 if SOAK else 4, seed=87235
     )
     digits = {place: samples["digits"].mean() for place, samples in results.samples.items()}
-    assert digits["noise", "contact-relay"] > digits["noise", "static"] + 0.3
+    assert digits["noise", "relay"] > digits["noise", "static"] + 0.3
     for name in laws[:2]:
         assert digits["random-energy-switching-transformed", name] > 5
 

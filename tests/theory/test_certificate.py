@@ -161,7 +161,7 @@ def test_a_law_without_a_closed_loop_gets_no_numbers_of_one(law, phrase):
     assert len(certificate.assumptions) == 5
 
 
-@pytest.mark.parametrize("law", ["law:oracle", "law:contact-relay"])
+@pytest.mark.parametrize("law", ["law:oracle", "law:relay"])
 def test_laws_that_see_or_remember_more_have_no_closed_loop(law):
     assert "no rate, no digits and no largest step" in theory.certify(get_scenario("energy"), law).notes[0]
 

@@ -57,8 +57,8 @@ def test_only_links_that_act_again_and_again_count_as_s_grows():
     transformed = theory.problem_constants(World(CATALOGUE["energy-switching-transformed"]))
     assert transformed.connectivity == 0
     assert [graph.is_connected for graph in transformed.recurring] == [True]
-    assert condition_on("energy-switching-transformed", laws.ContactRelay).holds
-    assert not condition_on("energy-switching", laws.ContactRelay).holds  # links of its last graph alone recur
+    assert condition_on("energy-switching-transformed", laws.Relay).holds
+    assert not condition_on("energy-switching", laws.Relay).holds  # links of its last graph alone recur
 
 
 MODES = {
