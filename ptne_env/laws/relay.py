@@ -20,7 +20,7 @@ from ptne_env.laws.identification import (
 )
 from ptne_env.laws.sources import Contacts, find_sources, initial_contacts, mean_difference
 from ptne_env.perception.observation import Observation, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_positive, row_maxima
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_count, require_positive, row_maxima
 
 _SMALLEST = 1e-3
 """Least scale of a problem, in units of what the input limit allows in a step: a start at 0 is no small problem."""
@@ -38,15 +38,17 @@ ten times as fast as they contract, with delays of up to two steps, has its opti
 _LEAD = 2.5
 """Most steps for which a damped response expects the copies to go on as in this one, by the same analysis."""
 
-_SIGNAL = 8.0
-"""A difference to the sources above this many times σ is no noise, and neither is a fall of σ to this part of it."""
+_SIGNAL = 3.0
+"""A difference to the sources above this many σ is no noise."""
 
-_NEWS = 20.0
-"""A copy has news once it moved by more than this many σ, because σ is the smallest of many changes."""
+_CALMER = 2.0
+"""Messages come to rest where σ falls to the last σ over this number, and then they are no noise."""
 
-_LOUDEST = 0.03
+_NEWS = 6.0
+"""A copy has news once it moved by more than this many σ."""
+
+_LOUDEST = 0.3
 """A change of messages above this share of the scale is news in any case."""
-
 
 _HELD = 0.1
 """A bound holds a component that moved less than this share of the displacement that was asked for."""
@@ -61,9 +63,10 @@ class Noise(NamedTuple):
     last: FloatArray  # messages of the step before, shape (R, D, n)
     before: FloatArray  # those of the step before that, shape (R, D, n)
     age: FloatArray  # steps for which links have been live without a break, shape (R, D)
-    least: FloatArray  # σ, the smallest change of messages so far, infinite before the first, shape (R, 1)
-    mark: FloatArray  # σ when the count of steps last began, shape (R, 1)
-    steps: FloatArray  # k, in which messages have not come to rest, shape (R, 1)
+    total: FloatArray  # of the changes of messages in this window, shape (R, 1)
+    number: FloatArray  # of these changes, shape (R, 1)
+    level: FloatArray  # σ, their mean in the last window, shape (R, 1)
+    count: FloatArray  # k, the steps in which messages have not come to rest, shape (R, 1)
 
 
 class RelayMemory(NamedTuple):
@@ -83,11 +86,11 @@ class Relay(RecordLaw):
 
     1. *Sources.* :func:`~ptne_env.laws.sources.find_sources` says which neighbours have fresher copies of each
        component, from own links alone. The owner of a component is its only source as soon as the player has met it.
-    2. *Noise.* σ is the smallest change of messages so far, where a change is |y_k − y_{k−1}| or
+    2. *Noise.* σ is the mean change of messages over the last ``patience`` steps, where a change is |y_k − y_{k−1}| or
        |y_k − 2 y_{k−1} + y_{k−2}|/√3, whichever is smaller, and the largest over links and components counts: noise has
-       both of this size, while smooth moves have small second differences. Where σ has not halved for ``patience``
-       steps, copies average over the k steps since, with the weight w = p/(p + k), p being ``forgetting``. A
-       difference to the sources above 8 σ is no noise, and starts the count again.
+       both of this size, while smooth moves have small second differences. Where σ does not halve, copies average over
+       the k steps since it last did, with the weight w = p/(p + k), p being ``forgetting``. A difference to the sources
+       above 3 σ is no noise, and starts the count again.
     3. *Copies.* Δx^i_c = w × mean of (x^j_c − x^i_c) over the live sources j of component c of another player.
     4. *Identification.* :func:`~ptne_env.laws.identification.identify` updates the rows G of dF from the changes of own
        estimates and own gradient.
@@ -105,22 +108,22 @@ class Relay(RecordLaw):
 
     Args:
         layout: the layout of the environment, with the interface ``physical``.
-        patience: the number of steps, > 0, after which σ counts as noise if it has not halved.
+        patience: the number of steps, ≥ 1, after which σ counts as noise if it has not halved.
         forgetting: p > 0: larger numbers forget the first messages faster. 1 is the mean of all.
 
     Raises:
-        ValueError: for a patience or forgetting that is not positive, or another interface.
+        ValueError: for a patience below 1, a forgetting that is not positive, or another interface.
     """
 
     needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
 
-    def __init__(self, layout: ObservationLayout, patience: float = 25.0, forgetting: float = 6.0) -> None:
+    def __init__(self, layout: ObservationLayout, patience: int = 25, forgetting: float = 3.0) -> None:
         super().__init__(layout)
-        self.patience = require_positive("patience", patience)
+        self.patience = require_count("patience", patience, 1)
         self.forgetting = require_positive("forgetting", forgetting)
-        none, infinite, own = np.zeros((1, 1)), np.full((1, 1), np.inf), np.zeros((1, layout.dimension))
+        none, own = np.zeros((1, 1)), np.zeros((1, layout.dimension))
         messages = np.zeros((1, layout.slots, layout.dimension))
-        noise = Noise(messages, messages, messages[:, :, 0], infinite, infinite, none)
+        noise = Noise(messages, messages, messages[:, :, 0], none, none, none, none)
         self.start = RelayMemory(none, initial_contacts(layout), noise, initial_model(layout), own)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -131,12 +134,12 @@ class Relay(RecordLaw):
         scale = np.maximum(largest(estimate), _SMALLEST * reach)
 
         noise = _measure(observation, was.noise, was.steps, owners | is_own[:, None])
-        loudest = np.minimum(_NEWS * np.where(np.isfinite(noise.least), noise.least, 0.0), _LOUDEST * scale)
+        loudest = np.minimum(_NEWS * noise.level, _LOUDEST * scale)
         drifted = np.where(is_own, 0.0, was.asked)
         sources, contacts = find_sources(observation, was.contacts, was.steps > 0, drifted, owners, loudest[:, :, None])
         is_probe = was.steps < blocks.shape[1]
         mean = np.where(is_own | is_probe, 0.0, mean_difference(observation, sources))
-        noise, weight = self._weigh(noise, mean)
+        noise, weight = self._weigh(noise, mean, was.steps)
         drift = weight * mean
 
         gradient = own_entries(observation.gradient, blocks)
@@ -150,13 +153,15 @@ class Relay(RecordLaw):
         asked = clip_to_reach(displacement, observation, layout)
         return per_step(displacement, observation), self.pack(RelayMemory(was.steps + 1, contacts, noise, model, asked))
 
-    def _weigh(self, noise: Noise, mean: FloatArray) -> tuple[Noise, FloatArray]:
+    def _weigh(self, noise: Noise, mean: FloatArray, steps: FloatArray) -> tuple[Noise, FloatArray]:
         """Return the noise after the differences (R, n) to the sources, and the weight w of copies, shape (R, 1)."""
-        counts = noise.steps > self.patience
-        calmer = noise.least <= noise.mark / np.where(counts, _SIGNAL, 2.0)
-        steps = np.where(calmer | (largest(mean) > _SIGNAL * noise.least), 0.0, noise.steps + 1)
-        weight = np.where(steps > self.patience, self.forgetting / (self.forgetting + steps), 1.0)
-        return noise._replace(mark=np.where(calmer, noise.least, noise.mark), steps=steps), weight
+        ends = steps % self.patience == self.patience - 1
+        level = np.where(ends & (noise.number > 0), noise.total / np.maximum(noise.number, 1), noise.level)
+        calmer = (ends & (level <= noise.level / _CALMER)) | (steps < 1)
+        count = np.where(calmer | (largest(mean) > _SIGNAL * noise.level), 0.0, noise.count + 1)
+        weight = np.where(count > self.patience, self.forgetting / (self.forgetting + count), 1.0)
+        total, number = (np.where(ends, 0.0, part) for part in (noise.total, noise.number))
+        return noise._replace(total=total, number=number, level=level, count=count), weight
 
 
 def _measure(observation: Observation, was: Noise, steps: FloatArray, owned: BoolArray) -> Noise:
@@ -173,8 +178,16 @@ def _measure(observation: Observation, was: Noise, steps: FloatArray, owned: Boo
     change = np.where(is_second[:, :, None], np.where(owned, 0.0, change), np.minimum(change, smooth))
     lasted = age >= np.where(is_second, 2, 3)
     largest_change = np.where(lasted, row_maxima(change), -np.inf).max(axis=1, keepdims=True)
-    least = np.where(lasted.any(axis=1, keepdims=True), np.minimum(was.least, largest_change), was.least)
-    return was._replace(last=content, before=was.last, age=age, least=least)
+    is_known = lasted.any(axis=1, keepdims=True)
+    largest_change = np.where(is_known, largest_change, 0.0)
+    return was._replace(
+        last=content,
+        before=was.last,
+        age=age,
+        total=was.total + largest_change,
+        number=was.number + is_known,
+        level=np.where(is_second, largest_change, was.level),
+    )
 
 
 def _respond(model: Model, drift: FloatArray, blocks: IntArray, is_own: BoolArray, held: BoolArray) -> FloatArray:

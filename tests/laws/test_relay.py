@@ -134,7 +134,20 @@ def test_noise_is_averaged():
     assert relay > plain + 0.3
 
 
-@pytest.mark.parametrize("name", ["patience", "forgetting"])
-def test_wrong_numbers_are_named(name):
-    with pytest.raises(ValueError, match=f"{name} must be a finite number above 0"):
-        laws.Relay(world_and_encoder("energy")[1].layout, **{name: 0.0})
+@pytest.mark.parametrize("arguments", [{"patience": 0}, {"patience": 2.5}, {"forgetting": 0.0}])
+def test_wrong_numbers_are_named(arguments):
+    with pytest.raises(ValueError, match=f"{next(iter(arguments))} must be"):
+        laws.Relay(world_and_encoder("energy")[1].layout, **arguments)
+
+
+def test_noise_that_begins_late_is_averaged_too():
+    late = RANDOM.replace(name="late", channel=FactorySpec.of("channel:late-noise", std=0.05, step=150))
+    results = evaluate(["relay"], [late], episodes=6)
+    assert results.samples["late", "relay"]["digits"].mean() > 2.9
+
+
+def test_slow_moves_add_up_to_news():
+    """Inputs are so limited that no step moves a copy by more than noise."""
+    slow = RANDOM.replace(name="slow", deadline=0.3, input_limit=4.0, channel=channel_part("AdditiveNoise", std=0.02))
+    results = evaluate(["relay"], [slow], episodes=4)
+    assert results.samples["slow", "relay"]["digits"].min() > 2.5
