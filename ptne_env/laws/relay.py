@@ -66,7 +66,7 @@ class Noise(NamedTuple):
     total: FloatArray  # of the changes of messages in this window, shape (R, 1)
     number: FloatArray  # of these changes, shape (R, 1)
     level: FloatArray  # σ, their mean in the last window, shape (R, 1)
-    count: FloatArray  # k, the steps in which messages have not come to rest, shape (R, 1)
+    since: FloatArray  # k, the steps in which messages have not come to rest, shape (R, 1)
 
 
 class RelayMemory(NamedTuple):
@@ -158,10 +158,10 @@ class Relay(RecordLaw):
         ends = steps % self.patience == self.patience - 1
         level = np.where(ends & (noise.number > 0), noise.total / np.maximum(noise.number, 1), noise.level)
         calmer = (ends & (level <= noise.level / _CALMER)) | (steps < 1)
-        count = np.where(calmer | (largest(mean) > _SIGNAL * noise.level), 0.0, noise.count + 1)
+        count = np.where(calmer | (largest(mean) > _SIGNAL * noise.level), 0.0, noise.since + 1)
         weight = np.where(count > self.patience, self.forgetting / (self.forgetting + count), 1.0)
         total, number = (np.where(ends, 0.0, part) for part in (noise.total, noise.number))
-        return noise._replace(total=total, number=number, level=level, count=count), weight
+        return noise._replace(total=total, number=number, level=level, since=count), weight
 
 
 def _measure(observation: Observation, was: Noise, steps: FloatArray, owned: BoolArray) -> Noise:
