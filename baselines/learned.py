@@ -306,11 +306,11 @@ def table(out: Path) -> None:
     parts = [markdown(headings, rows)]
 
     family = get_scenario("random-energy-switching-transformed")
-    players = "observer-relay", f"recurrent-{family.name}"
+    players = "relay", f"recurrent-{family.name}"
     outside = [family.replace(name=name, **changes) for name, changes in OUTSIDE]
     found = evaluate(players, outside, episodes=100, run=run)
     rows = [[name, *(digits(found, name, player) for player in players)] for name, _ in OUTSIDE]
-    parts.append(markdown(["", "observer-relay", "the first specialist"], rows))
+    parts.append(markdown(["", "relay", "the first specialist"], rows))
 
     rows, shipped, suite = [], f"recurrent-{ALL}", get_suite("ptne-v1")
     found = evaluate(trained(ALL, out), suite.tracks, episodes=suite.episodes, run=run)
@@ -361,10 +361,9 @@ outputs at the start seed 0 learned nothing in 120 updates, and in 340 at twice 
 
 On the physical clock, players who play the exact equilibrium with those that they can hear, in every dwell, have
 {4:.2f} digits (`python -m baselines.learned limit`). For more, a player must predict the responses of players that it
-cannot hear, as `observer-relay` does after it has identified the game. The network has learned some of that.
+cannot hear. The network has learned some of that.
 
-The first had led `observer-relay`, at 11.2 digits. Somebody who did not build the network attacked this lead, and found
-better constants of the law's reactions, which are now in it. Outside of its family the network fails:
+Outside of its family the first fails:
 
 {1}
 
@@ -386,8 +385,7 @@ agent-steps, and the others on the track itself for 92,160 ([marl.md](marl.md)).
 
 The law `residual-coder` is ahead where it codes: its messages are not its beliefs until the last step. The loss, the
 mean logarithm of the distance over all steps, pays for messages that are beliefs, so a code costs the network digits,
-and it is to be compared with the laws that do not. On `rounding`, `observer-relay` dithers, which costs digits before
-the end too. On `liar` the network had 2.1 digits while the largest difference was its only unit, because a liar is
+and it is to be compared with the laws that do not. On `liar` the network had 2.1 digits while the largest difference was its only unit, because a liar is
 always far: half of a digit came from the unit of the nearest neighbour's difference alone, and the rest from training.
 
 Worlds were missing, not updates. In shares of the best law's digits on 30 validation episodes per track, the first
@@ -408,24 +406,7 @@ is taken to be that of x − sin(2πx)/2π, which rewards spread. After 1,800 up
 offsets of all players disturb the gradients of all. With offsets in every second step only, networks learned to do
 without, and had 2.3. Laws need a model of their own costs to dither and respond at once.
 
-"Every law" is every entry, with the same constants on all tracks. In an attack, somebody who did not build the network
-tuned laws for each of these tracks alone, all constants and switches of their modules, on validation episodes, and
-played them on 200 fresh ones; no command here repeats it. On the same episodes, such laws are ahead of the network on
-`switching-physical` (`residual-coder` 4.95, the network 4.67), `rough-links` (`contact-relay` 2.71 and 2.62),
-`strangers` (`observer-relay` 3.66 and 3.28) and `monotone` (`residual-coder` 4.51 and 4.11), and level on `monotone`
-without code (`observer-relay` 4.14), `short-deadline` (`contact-relay`, with other constants 2.75, and with another
-first step 2.98; the network 2.98) and `switching-transformed` (`residual-coder` 2.39 and 2.36). In the worst tenth of
-the episodes the coders are behind (3.02 and 4.20 on `switching-physical`, 0.46 and 2.88 on `monotone`). On `strangers`
-17 % of the network's episodes end below one digit; in the others it leads the tuned law by 0.2. With a patience of 30
-in place of 12.6 `contact-relay` would have more digits in validation, 2.64 in place of 2.50 on average, but `curved`
-and `coupled` would then rank the entries too much alike (0.953, and at most 0.95 is allowed), so its entry waits for
-the next version of the suite.
-
-In worlds outside of the suite, 16 episodes each, `routed-unknown`, `grounded`, `contact-relay` and `observer-relay`
-played beside it. It loses to `contact-relay` on a path of 12 players (4.4 and 4.9 digits), under noise of 10 (0.6 and
-1.0) and where 80 % of messages are lost (3.7 and 5.0), to `observer-relay` where they are 12 steps late (2.0 and 4.6),
-and leads all four in asymmetric games (4.2; `observer-relay` 3.2). The file before had 4.6 where messages are lost, and
-3.8 where they are late.
+"Every law" is every entry, with the same constants on all tracks.
 """
 
 

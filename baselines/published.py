@@ -29,12 +29,12 @@ WORLDS = {"robustness": robustness(1), "robustness-2": robustness(2)}
 
 TRAINED = "recurrent-random-worlds"
 SHOWN = (
-    *("static", "grounded", "routed-unknown", "relay", "relay", "residual-coder"),
+    *("static", "grounded", "routed-unknown", "relay", "residual-coder"),
     *("ppo-ptne-v1", TRAINED, "oracle"),
 )
 """The policies of the short table of the suite."""
 
-SHOWN_ON_WORLDS = ("static", "grounded", "proximal-best-response", "routed-unknown", "relay", "relay")
+SHOWN_ON_WORLDS = ("static", "grounded", "proximal-best-response", "routed-unknown", "relay")
 SHOWN_ON_SCENARIOS = ("static", "grounded", "routed-unknown", "relay", "ppo-random-energy", "oracle")
 NEAR = 0.5
 """Digits by which a policy may miss the best one and is near."""

@@ -27,7 +27,6 @@ TUNED: dict[str, dict[str, tuple[float, float]]] = {
     "adaptive-grounded": {"gamma": (1e-5, 1e-1), "initial_gain": (0.5, 20.0)},
     "projected-gradient": {"step": (0.02, 2.0), "mixing": (0.05, 0.5)},
     "routed-unknown": {"step": (0.02, 2.0)},
-    "relay": {"patience": (3.0, 100.0), "forgetting": (0.5, 20.0)},
     "proximal-best-response": {"step": (0.2, 20.0), "mixing": (0.05, 0.5)},
 }
 """The range of each constant, searched on a logarithmic scale, by entry."""

@@ -5,7 +5,6 @@ from functools import partial
 from types import SimpleNamespace
 
 import pytest
-from extras import need_matplotlib
 from worlds import BLOCKS_SWITCHING
 
 from ptne_env.envs.parallel import aec_env, parallel_env
@@ -13,7 +12,7 @@ from ptne_env.envs.parallel import aec_env, parallel_env
 with warnings.catch_warnings():
     # The suites import one of PettingZoo's own environments in the way that PettingZoo itself deprecates.
     warnings.filterwarnings("ignore", "The old environment creation API", DeprecationWarning)
-    from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test, render_test, seed_test
+    from pettingzoo.test import api_test, max_cycles_test, parallel_api_test, parallel_seed_test, seed_test
 
 SCENARIOS = {
     "energy": "energy",
@@ -48,8 +47,3 @@ def test_max_cycles(name):
         env=partial(aec_env, SCENARIOS[name]), parallel_env=partial(parallel_env, SCENARIOS[name])
     )
     max_cycles_test(constructors)
-
-
-def test_rendering():
-    need_matplotlib()
-    render_test(partial(aec_env, "energy"))

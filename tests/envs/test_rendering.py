@@ -1,5 +1,7 @@
 import builtins
 import signal
+import warnings
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,6 +12,8 @@ need_matplotlib()
 
 from matplotlib import pyplot as plt
 from matplotlib.transforms import Affine2DBase
+
+from ptne_env.envs.parallel import aec_env
 
 
 def picture(name, steps=0, action=1.0):
@@ -142,3 +146,12 @@ def test_missing_matplotlib_names_the_extra_to_install(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(ImportError, match=r'pip install "ptne-env\[bench\]"'):
         env.render()
+
+
+def test_the_conformance_suite_of_pettingzoo_renders():
+    with warnings.catch_warnings():
+        # The suite imports one of PettingZoo's own environments in the way that PettingZoo itself deprecates.
+        warnings.filterwarnings("ignore", "The old environment creation API", DeprecationWarning)
+        from pettingzoo.test import render_test
+
+    render_test(partial(aec_env, "energy"))

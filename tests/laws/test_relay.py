@@ -121,7 +121,7 @@ def test_relay_reaches_many_digits_in_games_and_with_messages_of_all_kinds():
     """Several components at a bound, curvature far from 1, costs that are not quadratic, and late messages."""
     late = RANDOM.replace(name="late", channel=channel_part("Delay", steps=1, longest=7))
     least = {"random-energy": 11.5, "ev-charging": 11.5, "cournot": 11.5, "non-quadratic": 10, late: 6}
-    results = evaluate(["relay"], [*least], episodes=3)
+    results = evaluate(["relay"], [*least], episodes=8)
     assert len(results.samples) == len(least)
     for samples, digits in zip(results.samples.values(), least.values(), strict=True):
         assert np.median(samples["digits"]) > digits
