@@ -1,7 +1,7 @@
 """Play all policies on catalogue, suite and random worlds, and write every published table.
 
 ``python -m baselines.publish`` plays them on the catalogue, on ptne-v1, and on the random worlds of two seeds: those of
-seed 1 were seen while laws were designed, those of seed 2 were not.
+seed 1 were seen while laws were designed, those of seed 3 were not.
 
 It writes ``results.csv`` beside this file, and from it every table of README, docs and baselines that stands between
 ``<!-- table NAME -->`` and ``<!-- end -->``. Finished jobs are kept in the folder ``--out`` and not run again.

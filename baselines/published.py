@@ -24,7 +24,7 @@ from ptne_env.world.world import World
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "baselines" / "results.csv"
 ALGORITHMS = ROOT / "baselines" / "marl.json"
-WORLDS = {"robustness": robustness(1), "robustness-2": robustness(2)}
+WORLDS = {"robustness": robustness(1), "robustness-3": robustness(3)}
 """The random worlds: seen and fresh."""
 
 TRAINED = "recurrent-random-worlds"
@@ -243,9 +243,9 @@ TABLES: dict[str, Callable[[Published], str]] = {
     "ptne-v1-overall": overall,
     "ptne-v1-tracks": lambda numbers: all_policies(numbers, "ptne-v1"),
     "robustness": lambda numbers: shortfalls(numbers, "robustness"),
-    "robustness-fresh": lambda numbers: shortfalls(numbers, "robustness-2"),
+    "robustness-fresh": lambda numbers: shortfalls(numbers, "robustness-3"),
     "robustness-worlds": lambda numbers: worlds(numbers, "robustness"),
-    "robustness-fresh-worlds": lambda numbers: worlds(numbers, "robustness-2"),
+    "robustness-fresh-worlds": lambda numbers: worlds(numbers, "robustness-3"),
     "catalogue": lambda numbers: by_track(numbers, "comparison", SHOWN_ON_SCENARIOS),
     "catalogue-all": lambda numbers: all_policies(numbers, "comparison"),
 }

@@ -45,7 +45,7 @@ _CALMER = 2.0
 """Messages come to rest where σ falls to the last σ over this number, and then they are no noise."""
 
 _NEWS = 6.0
-"""A copy has news once it moved by more than this many σ."""
+"""A copy has news once it moved by more than this many times the noise of the second step."""
 
 _LOUDEST = 0.3
 """A change of messages above this share of the scale is news in any case."""
@@ -66,6 +66,7 @@ class Noise(NamedTuple):
     total: FloatArray  # of the changes of messages in this window, shape (R, 1)
     number: FloatArray  # of these changes, shape (R, 1)
     level: FloatArray  # σ, their mean in the last window, shape (R, 1)
+    first: FloatArray  # the change of messages in the second step, shape (R, 1)
     since: FloatArray  # k, the steps in which messages have not come to rest, shape (R, 1)
 
 
@@ -91,7 +92,9 @@ class Relay(RecordLaw):
        both of this size, while smooth moves have small second differences. Where σ does not halve, copies average over
        the k steps since it last did, with the weight w = p/(p + k), p being ``forgetting``. A difference to the sources
        above 3 σ is no noise, and starts the count again.
-    3. *Copies.* Δx^i_c = w × mean of (x^j_c − x^i_c) over the live sources j of component c of another player.
+    3. *Copies.* Δx^i_c = w × mean of (x^j_c − x^i_c) over the live sources j of component c of another player. Where
+       there has been no news of c for ``patience`` and N steps, as where rounding hides all, all neighbours count as
+       sources.
     4. *Identification.* :func:`~ptne_env.laws.identification.identify` updates the rows G of dF from the changes of own
        estimates and own gradient.
     5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l G_{i,−i} Δx_{−i}), the best response to the copies. D has the
@@ -123,7 +126,7 @@ class Relay(RecordLaw):
         self.forgetting = require_positive("forgetting", forgetting)
         none, own = np.zeros((1, 1)), np.zeros((1, layout.dimension))
         messages = np.zeros((1, layout.slots, layout.dimension))
-        noise = Noise(messages, messages, messages[:, :, 0], none, none, none, none)
+        noise = Noise(messages, messages, messages[:, :, 0], none, none, none, none, none)
         self.start = RelayMemory(none, initial_contacts(layout), noise, initial_model(layout), own)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -134,9 +137,11 @@ class Relay(RecordLaw):
         scale = np.maximum(largest(estimate), _SMALLEST * reach)
 
         noise = _measure(observation, was.noise, was.steps, owners | is_own[:, None])
-        loudest = np.minimum(_NEWS * noise.level, _LOUDEST * scale)
+        loudest = np.minimum(_NEWS * noise.first, _LOUDEST * scale)
         drifted = np.where(is_own, 0.0, was.asked)
         sources, contacts = find_sources(observation, was.contacts, was.steps > 0, drifted, owners, loudest[:, :, None])
+        is_silent = (contacts.news == 0) & (was.steps >= max(self.patience, layout.num_players))
+        sources |= is_silent[:, None] & (observation.weights > 0)[:, :, None]
         is_probe = was.steps < blocks.shape[1]
         mean = np.where(is_own | is_probe, 0.0, mean_difference(observation, sources))
         noise, weight = self._weigh(noise, mean, was.steps)
@@ -187,6 +192,7 @@ def _measure(observation: Observation, was: Noise, steps: FloatArray, owned: Boo
         total=was.total + largest_change,
         number=was.number + is_known,
         level=np.where(is_second, largest_change, was.level),
+        first=np.where(is_second, largest_change, was.first),
     )
 
 

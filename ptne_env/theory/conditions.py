@@ -18,12 +18,12 @@ from scipy.sparse.csgraph import shortest_path
 from ptne_env.laws import (
     Adaptive,
     AdaptiveGrounded,
-    Relay,
     CorollaryOne,
     Grounded,
     Law,
     ProjectedGradient,
     ProximalBestResponse,
+    Relay,
     RoutedUnknown,
     Static,
 )
