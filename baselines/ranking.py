@@ -1,18 +1,19 @@
 """How much the tracks of ptne-v1 differ, and how sure its ranking is: ``python -m baselines.ranking``.
 
-It prints the pairs of scored tracks with the largest Spearman correlations over the entries with which
-the suite was designed, and Kendall's τ between the rankings of all entries by score with two seeds of the episodes.
-Oracles are no entries. Finished jobs are kept
-in the folder ``--out``, which is that of ``publish``, and not run again.
+It prints the share of the variance between the best entries that the first principal component over the scored tracks
+explains, the entry that leads each track with its lead over the second, and Kendall's τ between the rankings of all
+entries by score with two seeds of the episodes. Oracles are no entries, and ``residual-coder`` counts for τ alone,
+because its messages are not its estimates. Finished jobs are kept in the folder ``--out``, which is that of
+``publish``, and not run again.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from itertools import combinations
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 from scipy import stats
 
 from ptne_env.evaluation import ENTERED, POLICIES, Results
@@ -22,35 +23,36 @@ from ptne_env.suites import leaderboard, run_suite
 SEEDS = (0, 1)
 """Of the episodes of the two rankings."""
 
-LATER = ("recurrent-random-worlds",)
-"""Entries that came when the suite stood: it was not designed with them, and does not change with them."""
+BEST = 8
+"""The number of entries that are compared."""
+
+CODER = "residual-coder"
 
 
-def correlations(digits: Mapping[str, Mapping[str, float]]) -> list[tuple[float, str, str]]:
-    """Spearman's correlation of every pair of tracks over the policies that act on both, the largest first.
+def principal_share(digits: npt.ArrayLike) -> float:
+    """The share of the variance that the first principal component explains of digits (entries, tracks).
 
-    Args:
-        digits: mean digits by track and policy; they count to two decimals.
+    Every track has the same weight, so its digits are divided by their standard deviation over the entries.
     """
-    pairs = []
-    for first, second in combinations(digits, 2):
-        both = digits[first].keys() & digits[second].keys()
-        values = [[round(digits[track][name], 2) for name in both] for track in (first, second)]
-        pairs.append((float(stats.spearmanr(*values).statistic), first, second))
-    return sorted(pairs, reverse=True)
+    variances = np.linalg.svd(stats.zscore(np.asarray(digits), axis=0), compute_uv=False) ** 2
+    return float(variances[0] / variances.sum())
 
 
-def digits_of(results: Results) -> dict[str, dict[str, float]]:
-    """The mean digits on every scored track of the entries with which the suite was designed."""
-    return {
-        track.name: {
-            name: digits.mean
-            for name, digits in results.ranked(track.name).items()
-            if digits.mean is not None and name not in LATER and not results.policies[name].is_oracle
-        }
-        for track in results.tracks
-        if track.scored
-    }
+def best_entries(results: Results) -> list[str]:
+    """The best entries by score that do not code and play every scored track."""
+    tracks = results.counted_tracks
+    entries = [row.policy for row in leaderboard(results) or () if row.mean_rank is not None and row.policy != CODER]
+    return [name for name in entries if all((track, name) in results.samples for track in tracks)][:BEST]
+
+
+def leads(results: Results, names: list[str]) -> list[str]:
+    """A line for each scored track: the best of these entries, and its lead over the second in the same episodes."""
+    lines = []
+    for track in results.counted_tracks:
+        first, second, *_ = sorted(names, key=lambda name: -results.samples[track, name]["digits"].mean())
+        lead = results.difference(first, second, track)
+        lines.append(f"{track}: {first} leads {second} by {lead.mean:.2f} [{lead.low:.2f}, {lead.high:.2f}]")
+    return lines
 
 
 def agreement(first: Results, second: Results) -> float:
@@ -67,13 +69,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "results" / "published")
     parser.add_argument("--episodes", type=int, help="the suite's own number if left out")
     parser.add_argument("--jobs", type=int, default=-1)
-    parser.add_argument("--pairs", type=int, default=10)
-    given = parser.parse_args()
-    runner = Runner(given.out, Workers(given.jobs))
+    arguments = parser.parse_args()
+    runner = Runner(arguments.out, Workers(arguments.jobs))
     entered = [POLICIES[name] for name in ENTERED]
-    first, second = (run_suite("ptne-v1", entered, episodes=given.episodes, seed=seed, run=runner) for seed in SEEDS)
-    for value, *tracks in correlations(digits_of(first))[: given.pairs]:
-        print(f"Spearman {value:.3f}  {' and '.join(tracks)}")
+    first, second = (
+        run_suite("ptne-v1", entered, episodes=arguments.episodes, seed=seed, run=runner) for seed in SEEDS
+    )
+    names = best_entries(first)
+    digits = [[first.samples[track, name]["digits"].mean() for track in first.counted_tracks] for name in names]
+    print(f"First principal component: {principal_share(digits):.2f} of the variance between {', '.join(names)}")
+    print(*leads(first, names), sep="\n")
     print(f"Kendall's tau between seeds {SEEDS[0]} and {SEEDS[1]}: {agreement(first, second):.3f}")
 
 
