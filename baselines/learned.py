@@ -331,8 +331,8 @@ def table(out: Path) -> None:
     leads = [t for t in scored if float(published.cell("ptne-v1", t, shipped, MINUS_BEST_LAW)["low"] or 0) > 0]
     worse = [world for world in worlds if mean("robustness", world, shipped) < mean("robustness", world, "static")]
     parts.append(
-        f"- It leads the best law on {len(leads)} of {len(shares)} scored tracks, the interval of their difference in the\n"
-        f"  same episodes being clear of 0: {', '.join(leads)}.\n"
+        f"- It leads the best law on {len(leads)} of {len(shares)} scored tracks, the interval of their difference\n"
+        f"  in the same episodes being clear of 0: {', '.join(leads)}.\n"
         f"- Mean over scored tracks of its digits over those of the best law: {np.mean([*shares.values()]):.3f}; of\n"
         f"  the best law that does not code, perhaps another on each track, {np.mean(uncoded):.3f}.\n"
         f"- 50 players, after training with at most 12: {shares['crowd-50']:.2f} of the digits of the best law.\n"

@@ -517,6 +517,13 @@ def carry_out(jobs: Sequence[Job], out: Path, workers: int) -> None:
         print(f"{number} of {len(jobs)}, {(time.monotonic() - began) / 60:.1f} min: {line}", flush=True)
 
 
+def write_page() -> dict[str, Any]:
+    """Write ``marl.md`` from ``marl.json`` and ``results.csv``, and return the numbers."""
+    data: dict[str, Any] = json.loads(DATA.read_text(encoding="utf-8"))
+    write_atomically(PAGE, page(data))
+    return data
+
+
 def main() -> None:
     """Tune, train and write."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
@@ -562,9 +569,7 @@ def main() -> None:
         carry_out(jobs, given.out, given.jobs)
     if found := finished(given.out):
         write_atomically(DATA, json.dumps(collect(found, given.steps, tuning), separators=(",", ":")) + "\n")
-    data = json.loads(DATA.read_text(encoding="utf-8"))
-    write_atomically(PAGE, page(data))
-    draw(data, PICTURE)
+    draw(write_page(), PICTURE)
 
 
 if __name__ == "__main__":
