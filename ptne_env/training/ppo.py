@@ -197,7 +197,8 @@ def to_onnx(model: BaseAlgorithm, layout: ObservationLayout, **training: Any) ->
             )
         exported = seal(onnx.load_from_string(content.getvalue()), metadata)
         actions, _ = open_policy(Path(POLICY), exported).predict(rows)
-        np.testing.assert_allclose(actions, expected, rtol=1e-4, atol=1e-4 * max(1.0, float(np.abs(expected).max())))
+        tolerance = 1e-4 * max(1.0, float(np.abs(expected).max()))
+        np.testing.assert_allclose(actions, expected, rtol=1e-4, atol=tolerance, equal_nan=False)
     except Exception as error:  # of torch, onnx and the policy
         raise ValueError(
             f"no file can play this {type(model).__name__} ({error}); evaluate takes the model itself, or its .zip"
