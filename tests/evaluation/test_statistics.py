@@ -46,6 +46,8 @@ def test_rounding_moves_episodes_and_not_their_mean():
     error = digits.std() / 60**0.5
     for forged in (digits + 3.5 * error, digits - 3.5 * error, digits + amplified + 3.5 * error, np.roll(digits, 1)):
         assert not differ_by_rounding(forged, digits, 1e-5)
+    low = digits - 6
+    assert not differ_by_rounding(np.where(np.arange(60) == 7, 12.0, low), low, 1e-5)  # one episode, of many digits
     assert not differ_by_rounding(10**-digits / 2, 10**-digits, 1e-5)
     assert not differ_by_rounding(np.where(digits < 6, np.nan, digits), digits, 1e-5)
     assert [differ_by_rounding(digits[:1] + by, digits[:1], 1e-5) for by in (0.1, 4.0)] == [True, False]
