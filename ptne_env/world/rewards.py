@@ -112,6 +112,7 @@ class Reward:
                 f"reward {refused[0]!r} needs a best response, which {type(world.game).__name__} does not have "
                 f"everywhere; choose {', '.join(others[:-1])} or {others[-1]}"
             )
+        self._only = next(iter(weights)) if [*self.weights.values()] == [1] else None  # nearly always, and quicker
         self._gains = [name for name in weights if TERMS[name].is_gain]
         self._steps = world.clock.total_steps
         self._values: dict[str, FloatArray] = {}
@@ -141,11 +142,10 @@ class Reward:
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """Return the weighted sum of the terms, shape (N, B)."""
-        (first, weight), *others = self.weights.items()
-        total = terms[first] if weight == 1 else weight * terms[first]
-        for name, weight in others:
-            total = total + weight * terms[name]
-        return total
+        if self._only is not None:
+            return terms[self._only]
+        weighted = [terms[name] if weight == 1 else weight * terms[name] for name, weight in self.weights.items()]
+        return sum(weighted[1:], start=weighted[0])
 
     def _measure(self, state: State, names: Iterable[str]) -> dict[str, FloatArray]:
         """Return the values of terms in a state, the worst ones where an environment has diverged."""
