@@ -37,7 +37,8 @@ class Grounded(Law):
 
     u^i_i = −∂J_i/∂x_i(x^i) and u^i_j = −κ ξ^i_j for j ≠ i, with :func:`grounded_error`: a strategy follows its own
     gradient alone. M. Ye and G. Hu, "Distributed Nash equilibrium seeking by a consensus based approach", IEEE
-    Transactions on Automatic Control 62(9), 2017.
+    Transactions on Automatic Control 62(9), 2017. There a player also estimates its own strategy, in whose place it
+    stands itself here, and a small gain slows the gradient instead of κ quickening the estimates.
 
     Args:
         layout: the layout of the environment.

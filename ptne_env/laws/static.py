@@ -44,7 +44,8 @@ class CorollaryOne(Static):
 
     u^i = (Δt_k/Θ_k) (−R_i^T ∂J_i/∂x_i(x^i) − κ Σ_j a_ij (x^i − x^j)). The environment multiplies every input by Θ_k, so
     the law divides by it. Corollary 1 prints e^i − e^j where x^i − x^j is meant (docs/errata.md, 5). At κ = 1 it is
-    Gadjov and Pavel's law.
+    the law of D. Gadjov and L. Pavel, "A passivity-based approach to Nash equilibrium seeking over networks", IEEE
+    Transactions on Automatic Control 64(3), 2019 (arXiv:1705.02424).
 
     Args:
         layout: the layout of the environment.
