@@ -31,12 +31,16 @@ _FIRST = 1 / 9
 _SPREAD = 3.0
 """Standard deviation of the entries of dF before anything is identified, in units of the first gradient per scale."""
 
-_DAMPING = 3.0
-"""How much a step is shortened per unit by which Σ_j |G_ij| exceeds the curvature: linear analysis of games that rotate
-ten times as fast as they contract, with delays of up to two steps, has its optimum between 2.5 and 3.5."""
+_DAMPING = 1.0
+"""How much a step is shortened per unit by which Σ_j |G_ij| exceeds the curvature, beside the delay of news. Linear
+analysis of games that rotate ten times as fast as they contract, with delays of up to two steps, has its optimum
+between 2.5 and 3.5 in all."""
 
-_LEAD = 2.5
-"""Most steps for which a damped response expects the copies to go on as in this one, by the same analysis."""
+_LEAD = 0.5
+"""Most steps beside the delay for which a damped response expects the copies to go on, by the same analysis."""
+
+_SHORTEST = 2.0
+"""The shortest delay in steps, of an answer to an answer."""
 
 _SIGNAL = 3.0
 """A difference to the sources above this many σ is no noise."""
@@ -78,6 +82,7 @@ class RelayMemory(NamedTuple):
     noise: Noise  # of their messages
     model: Model  # of the own gradient
     asked: FloatArray  # the displacement that was asked for, shape (R, n)
+    delay: FloatArray  # the step of the last first news of a component, shape (R, 1)
 
 
 class Relay(RecordLaw):
@@ -98,13 +103,13 @@ class Relay(RecordLaw):
     4. *Identification.* :func:`~ptne_env.laws.identification.identify` updates the rows G of dF from the changes of own
        estimates and own gradient.
     5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l G_{i,−i} Δx_{−i}), the best response to the copies. D has the
-       eigenvectors of the own block G_ii, and the eigenvalues d (1 + 3 max(0, ρ − 1)), where d is the curvature, plus
-       three standard deviations where it is not certainly positive, and ρ = Σ_j |G_ij|/d is the contraction of best
-       responses in the maximum norm, the largest row counting. Where ρ ≤ 1 they contract whatever the delays, D = G_ii
-       and l = 1; in games that rotate they would not, and are damped, and l = min(2.5, D/Σ_j |G_ij|) expects the
-       copies to go on.
-       Components at a bound, which did not move when they were asked to, count as fixed. No step is longer than the
-       trust region of the model.
+       eigenvectors of the own block G_ii, and the eigenvalues d (1 + (1 + T) max(0, ρ − 1)), where d is the curvature,
+       plus three standard deviations where it is not certainly positive, ρ = Σ_j |G_ij|/d is the contraction of best
+       responses in the maximum norm, the largest row counting, and T is the *delay*, the step in which the last
+       component had its first news, from 2 to N: on a fixed graph the distance of the farthest player. Where ρ ≤ 1 best
+       responses contract whatever the delays, D = G_ii and l = 1; in games that rotate they would not, and are damped,
+       and l = min(T + ½, D/Σ_j |G_ij|) expects the copies to go on. Components at a bound, which did not move when they
+       were asked to, count as fixed. No step is longer than the trust region of the model.
 
     In the first m steps the estimates of others rest, and one own component after the other moves, so that the first
     changes of messages are noise alone, and the own block of dF is known at once.
@@ -127,7 +132,7 @@ class Relay(RecordLaw):
         none, own = np.zeros((1, 1)), np.zeros((1, layout.dimension))
         messages = np.zeros((1, layout.slots, layout.dimension))
         noise = Noise(messages, messages, messages[:, :, 0], none, none, none, none, none)
-        self.start = RelayMemory(none, initial_contacts(layout), noise, initial_model(layout), own)
+        self.start = RelayMemory(none, initial_contacts(layout), noise, initial_model(layout), own, none + _SHORTEST)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         layout, was, player = self.layout, self.unpack(memory), observation.player
@@ -152,11 +157,14 @@ class Relay(RecordLaw):
         model = identify(was.model, estimate, gradient, widest, _FIRST * scale, is_own)
         asked, moved = own_entries(was.asked, blocks), own_entries(estimate - was.model.estimate, blocks)
         held = (np.abs(moved) < _HELD * np.abs(asked)) & (np.abs(asked) > _RESOLVED * scale)
-        response = _respond(model, drift, blocks, is_own, held)
+        is_new = ((contacts.news > was.contacts.news) & ~is_own).any(axis=1, keepdims=True)
+        delay = np.where(is_new, np.clip(was.steps, _SHORTEST, layout.num_players), was.delay)
+        response = _respond(model, drift, blocks, is_own, held, delay)
         response = np.where(is_probe & (np.arange(blocks.shape[1]) != was.steps), 0.0, response)
         displacement = with_own(drift, response, blocks)
         asked = clip_to_reach(displacement, observation, layout)
-        return per_step(displacement, observation), self.pack(RelayMemory(was.steps + 1, contacts, noise, model, asked))
+        fresh = RelayMemory(was.steps + 1, contacts, noise, model, asked, delay)
+        return per_step(displacement, observation), self.pack(fresh)
 
     def _weigh(self, noise: Noise, mean: FloatArray, steps: FloatArray) -> tuple[Noise, FloatArray]:
         """Return the noise after the differences (R, n) to the sources, and the weight w of copies, shape (R, 1)."""
@@ -196,16 +204,18 @@ def _measure(observation: Observation, was: Noise, steps: FloatArray, owned: Boo
     )
 
 
-def _respond(model: Model, drift: FloatArray, blocks: IntArray, is_own: BoolArray, held: BoolArray) -> FloatArray:
+def _respond(
+    model: Model, drift: FloatArray, blocks: IntArray, is_own: BoolArray, held: BoolArray, delay: FloatArray
+) -> FloatArray:
     """Return the damped best response Δx_i to the estimates after a ``drift`` (R, n) of the others, shape (R, m)."""
     curvature, doubt, vectors = own_curvatures(model, blocks, held)
     curvature = np.where(curvature > doubt, curvature, np.abs(curvature) + doubt)
     others = np.where(is_own[:, None], 0.0, model.rows)
     coupling = np.abs(others).sum(axis=2).max(axis=1, keepdims=True)
     excess = np.maximum(coupling - curvature, 0.0)
-    divisor = curvature + _DAMPING * excess
+    divisor = curvature + (_DAMPING + delay) * excess
     is_loose = excess.any(axis=1, keepdims=True)
-    lead = np.minimum(_LEAD, divisor.min(axis=1, keepdims=True) / np.where(is_loose, coupling, 1.0))
+    lead = np.minimum(_LEAD + delay, divisor.min(axis=1, keepdims=True) / np.where(is_loose, coupling, 1.0))
     wanted = model.gradient + np.einsum("rmn,rn->rm", others, np.where(is_loose, lead, 1.0) * drift)
     along = np.einsum("rba,rb->ra", vectors, wanted)
     along = np.where(divisor > 0, along / np.where(divisor > 0, divisor, 1.0), 0.0)

@@ -8,6 +8,7 @@ from worlds import BLOCKS, BLOCKS_SWITCHING, begin, channel_part, fixed_part, wo
 from ptne_env import FactorySpec, evaluate, get_scenario, laws
 from ptne_env.laws import relay
 from ptne_env.laws.identification import initial_model
+from ptne_env.world import dynamics
 
 RANDOM = get_scenario("random-energy")
 
@@ -28,6 +29,7 @@ def response(rows, gradient, drift, radius=1e6, covariance=0.0, held=False):
         np.arange(m)[None],
         np.arange(n)[None] < m,
         np.broadcast_to(held, (1, m)),
+        np.full((1, 1), 2.0),
     )[0]
 
 
@@ -41,7 +43,12 @@ def test_best_response_zeroes_the_own_gradient_at_the_next_estimates():
 @pytest.mark.parametrize(
     ("rows", "gradient", "arguments", "expected"),
     [
-        ([[1.0, 2.0, -2.0]], [4.0], {}, [-0.4]),  # damped: the curvature 1 and three times the excess of 4
+        (
+            [[1.0, 2.0, -2.0]],
+            [4.0],
+            {},
+            [-0.4],
+        ),  # damped: the curvature 1 and, with a delay of 2, three times the excess of 3
         ([[-2.0, 0.0]], [4.0], {}, [-2.0]),  # a negative curvature gives a gradient step
         ([[0.0, 0.0]], [6.0], {"covariance": 100.0}, [-6 / 30]),  # and an unknown one a short step
         ([[0.0, 0.0]], [6.0], {}, [0.0]),  # without curvature there is no step
@@ -94,11 +101,30 @@ def test_a_start_without_differences_is_no_division_by_zero(point):
 
 
 def test_games_that_rotate_come_to_rest():
-    """Undamped best responses have a spectral radius of up to 10 there, and every other law loses digits."""
-    results = evaluate(["relay", "static"], [ROTATING], episodes=20)
-    digits = {name: results.samples["rotating", name]["digits"].mean() for name in ("relay", "static")}
-    assert digits["relay"] > 2
-    assert digits["static"] < 0
+    """Undamped best responses have a spectral radius of up to 10, and news cross the larger ring in five steps."""
+    ring = ROTATING.replace(
+        name="ring of 10",
+        game=FactorySpec.of("game:random-affine", players=10, epsilon=0.3, asymmetry=10.0),
+        topology=FactorySpec.of("topology:cycle", players=10),
+    )
+    results = evaluate(["relay", "static"], [ROTATING, ring], episodes=20)
+    digits = {place: samples["digits"].mean() for place, samples in results.samples.items()}
+    assert digits["rotating", "relay"] > 2
+    assert digits["ring of 10", "relay"] > 1.5
+    assert digits["rotating", "static"] < 0
+    assert digits["ring of 10", "static"] < 0.5
+
+
+def test_the_delay_is_the_distance_of_the_farthest_player_on_a_fixed_graph():
+    world, encoder = world_and_encoder(
+        affine_scenario(2 * np.eye(6), np.ones(6), fixed_part(np.eye(6, k=1) + np.eye(6, k=-1)))
+    )
+    law, state, memory = laws.Relay(encoder.layout), begin(world, [0]), None
+    for _ in range(10):
+        rows = encoder.observe(state)[0]
+        actions, memory = law.predict(rows, memory)
+        state = dynamics.step(world, state, encoder.decode(actions[None], state))
+    assert law.unpack(memory).delay.ravel().tolist() == [5, 4, 3, 3, 4, 5]
 
 
 def test_two_players_who_chase_each_other_meet():
