@@ -250,7 +250,16 @@ class Game(Part, ABC):
         Raises:
             ArithmeticError: when the solver's point is not an equilibrium to 1e-10, or no minimum of a player's cost.
         """
-        return self._verified(self._solve_nash_equilibria())
+        points = np.asarray(self._solve_nash_equilibria(), dtype=np.float64)
+        residuals = np.linalg.norm(self.natural_residual(points), axis=0)
+        if not np.all(residuals <= RESIDUAL_TOLERANCE * (1 + np.linalg.norm(points, axis=0))):
+            raise ArithmeticError(
+                f"{type(self).__name__}: the point found has "
+                f"{'‖x − Π(x − F(x))‖' if self.has_bounds else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
+                "was found"
+            )
+        self._require_minima(points)
+        return freeze(points)
 
     @cached_property
     def held_at_equilibrium(self) -> BoolArray:
@@ -296,19 +305,6 @@ class Game(Part, ABC):
         if self.batch_size != 1:
             raise ValueError(f"a batch of {self.batch_size} games has nash_equilibria, one column each")
         return self.nash_equilibria[:, 0]
-
-    def _verified(self, solution: FloatArray) -> FloatArray:
-        """Return the equilibria (n, G) read-only, or raise where a point is none."""
-        points = np.asarray(solution, dtype=np.float64)
-        residuals = np.linalg.norm(self.natural_residual(points), axis=0)
-        if not np.all(residuals <= RESIDUAL_TOLERANCE * (1 + np.linalg.norm(points, axis=0))):
-            raise ArithmeticError(
-                f"{type(self).__name__}: the point found has "
-                f"{'‖x − Π(x − F(x))‖' if self.has_bounds else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
-                "was found"
-            )
-        self._require_minima(points)
-        return freeze(points)
 
     def _require_minima(self, points: FloatArray) -> None:
         """Check that ∂²J_i/∂x_i² has no negative curvature at points (n, G), in components that no bound holds."""

@@ -12,9 +12,6 @@ from ptne_env.games.base import Game, GameFamily
 from ptne_env.shared.arrays import ordered_sum, require_count
 from ptne_env.shared.parts import checked
 
-_TIGHTNESS = -0.1, 0.3
-"""The range of t_l."""
-
 
 def price_constraint(game: Game, constraint: npt.ArrayLike, limit: npt.ArrayLike) -> QuadraticGame:
     """Put the players of a game under the constraint C x ≤ b, and add a market operator, who prices it.
@@ -92,8 +89,8 @@ class CoupledConstraint(GameFamily):
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
         game = self.game.draw(generators)
         unit = np.stack([generator.random((self.lines, game.dimension + 1)) for generator in generators], axis=-1)
-        loads, (low, high) = unit[:, :-1], _TIGHTNESS
+        loads, tightness = unit[:, :-1], -0.1 + 0.4 * unit[:, -1]
         free = np.broadcast_to(game.nash_equilibria, (game.dimension, len(generators)))
         shift = np.sqrt(ordered_sum(loads**2, axis=1) * ordered_sum(free**2))
-        limits = ordered_sum(loads * free, axis=1) - (low + (high - low) * unit[:, -1]) * shift
+        limits = ordered_sum(loads * free, axis=1) - tightness * shift
         return price_constraint(game, loads, limits)

@@ -148,7 +148,7 @@ class RandomEnergy(GameFamily):
             low, high = getattr(self, name)
             if not (np.isfinite(low) and np.isfinite(high) and low < high):
                 raise ValueError(f"RandomEnergy needs a finite range low < high for {name}, got {(low, high)!r}")
-        self._game(self._ranges[0])  # refuses extreme parameters now instead of during a run
+        self._game(np.zeros(2 * self.players + 1))  # refuses extreme parameters now instead of during a run
 
     @cached_property
     def _ranges(self) -> FloatArray:
@@ -159,22 +159,17 @@ class RandomEnergy(GameFamily):
     @cached_property
     def representative(self) -> Game:
         """The game in the middle of the ranges."""
-        low, high = self._ranges
-        return self._game((low + high) / 2)
+        return self._game(np.full(2 * self.players + 1, 0.5))
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
         size = 2 * self.players + 1
-        unit = np.stack([generator.random(size) for generator in generators], axis=-1)
-        return EnergyGame(**self.columns(unit), base_price=self.base_price)
+        return self._game(np.stack([generator.random(size) for generator in generators], axis=-1))
 
     def columns(self, unit: FloatArray) -> dict[str, FloatArray]:
-        """Return the parameters of games by name, made from independent U(0, 1) of shape (2 N + 1, G)."""
-        low, high = self._ranges
-        return self._named(low[:, None] + (high - low)[:, None] * unit)
-
-    def _named(self, numbers: FloatArray) -> dict[str, FloatArray]:
-        players = self.players
+        """Return the parameters of games by name, made from U(0, 1), (2 N + 1,) or (2 N + 1, G)."""
+        players, (low, high) = self.players, self._ranges if unit.ndim == 1 else self._ranges[..., None]
+        numbers = low + (high - low) * unit
         return {"curvature": numbers[:players], "target": numbers[players:-1], "coupling": numbers[-1]}
 
-    def _game(self, numbers: FloatArray) -> EnergyGame:
-        return EnergyGame(**self._named(numbers), base_price=self.base_price)
+    def _game(self, unit: FloatArray) -> EnergyGame:
+        return EnergyGame(**self.columns(unit), base_price=self.base_price)

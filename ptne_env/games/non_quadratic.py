@@ -10,8 +10,6 @@ import numpy as np
 from ptne_env.games.base import Game
 from ptne_env.shared.arrays import FloatArray, array_namespace
 
-_SLOPE_OF_FOURTH = {"printed": 1.0, "corrected": 4.0}
-
 
 class NonQuadraticGame(Game):
     """J1 = x1²/2 + x1 Σ_{j≥2} x_j, J2 = e^{x2/2}/2 + x2 x4, J3 = x3²/2 + x1³, J5 = x5² − 5 x5 + x1³ x2 + x3 x4⁴.
@@ -33,13 +31,13 @@ class NonQuadraticGame(Game):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.variant not in _SLOPE_OF_FOURTH:
+        if self.variant not in ("printed", "corrected"):
             raise ValueError(f"variant must be 'printed' or 'corrected', got {self.variant!r}")
 
     @cached_property
     def _slope(self) -> float:
         """The number w."""
-        return _SLOPE_OF_FOURTH[self.variant]
+        return 1.0 if self.variant == "printed" else 4.0
 
     def costs(self, strategies: FloatArray) -> FloatArray:
         xp, (x1, x2, x3, x4, x5) = array_namespace(strategies), strategies

@@ -71,16 +71,12 @@ class SaturatingGame(AffineGame):
     @cached_property
     def offset(self) -> FloatArray:
         """The vector b = −A x* − Mᵀ tanh(M x* − r), shape (n, G), read-only."""
-        return freeze(-times(self.matrices, self.equilibria) - self._pull(self.equilibria))
+        saturated = array_namespace(self.equilibria).tanh(times(self.all_prices, self.equilibria) - self.shifts)
+        return freeze(-times(self.matrices, self.equilibria) - times(self._transposed_prices, saturated))
 
     @cached_property
     def _transposed_prices(self) -> FloatArray:
         return freeze(self.all_prices.transpose(1, 0, 2))
-
-    def _pull(self, strategies: FloatArray) -> FloatArray:
-        """Mᵀ tanh(M x − r): (n, B) to (n, B)."""
-        xp = array_namespace(strategies)
-        return times(self._transposed_prices, xp.tanh(times(self.all_prices, strategies) - self.shifts))
 
     def costs(self, strategies: FloatArray) -> FloatArray:
         load = times(self.all_prices, strategies) - self.shifts

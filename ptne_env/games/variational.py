@@ -10,11 +10,6 @@ from ptne_env.shared.arrays import FloatArray, ordered_sum
 
 Field = Callable[[FloatArray], FloatArray]
 
-TOLERANCE = 1e-12
-"""‖x − Π(x − F(x))‖, relative to 1 + ‖x‖, at which the solver stops."""
-MOST_STEPS = 10_000
-"""The number of steps after which the solver stops."""
-
 
 def natural_map(points: FloatArray, field: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
     """x − Π(x − F(x)), which is 0 exactly at the solutions of the variational inequality; all (n, G)."""
@@ -38,15 +33,16 @@ def solve_box(field: Field, jacobian: Field, low: FloatArray, high: FloatArray, 
         start: first points, (n, G).
 
     Returns:
-        The points reached, (n, G). The caller checks whether they solve the inequality.
+        The points reached when ‖x − Π(x − F(x))‖ ≤ 1e-12 (1 + ‖x‖), or after 10,000 steps, (n, G). The caller checks
+        whether they solve the inequality.
     """
     x = np.clip(start, low, high)
     value = field(x)
     residual = _norm(natural_map(x, value, low, high))
     goal = np.full_like(residual, np.inf)  # a Newton step must reach half the residual of the last Newton step
     length = np.ones_like(residual)
-    for _ in range(MOST_STEPS):
-        unsolved = residual > TOLERANCE * (1 + _norm(x))
+    for _ in range(10_000):
+        unsolved = residual > 1e-12 * (1 + _norm(x))
         if not unsolved.any():
             break
         trial, reached = _newton(field, jacobian, x, value, low, high)

@@ -20,15 +20,6 @@ BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
 Array = TypeVar("Array", bound=npt.NDArray[np.generic])
 
-_MANY = 64
-"""The number of entries of a term from which on a sum is made term by term."""
-
-_SHORT = 16
-"""The length of the longest row whose maximum is found column by column."""
-
-_FEW = 64
-"""The largest number of terms that compiled code adds one by one."""
-
 
 def is_numpy(array: Any) -> bool:
     """Return whether an array is numpy's. One of JAX may not know its numbers yet, and never changes them."""
@@ -164,15 +155,15 @@ def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:
     if not is_numpy(array):
         # Compiled, a sum of few terms is several times as fast as a reduction.
         terms = array_namespace(array).moveaxis(array, axis, 0)
-        return reduce(add, terms) if 0 < len(terms) <= _FEW else terms.sum(0)
-    if array.dtype.kind == "f" and array.size >= _MANY * array.shape[axis] > 0:
+        return reduce(add, terms) if 0 < len(terms) <= 64 else terms.sum(0)
+    if array.dtype.kind == "f" and array.size >= 64 * array.shape[axis] > 0:  # long terms
         return fold(np.add, array, axis)
     return np.add.accumulate(array, axis=axis).take(-1, axis=axis)
 
 
 def row_maxima(array: FloatArray) -> FloatArray:
     """Return the largest entry along the last axis, (..., k) to (...)."""
-    return fold(np.maximum, array, -1) if array.shape[-1] <= _SHORT else np.maximum.reduce(array, axis=-1)
+    return fold(np.maximum, array, -1) if array.shape[-1] <= 16 else np.maximum.reduce(array, axis=-1)
 
 
 def replace_columns(old: Array, fresh: Array, mask: BoolArray) -> Array:

@@ -44,7 +44,7 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 
 def _replace(path: Path, data: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = temporary_file(path.parent, path.name)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
@@ -76,11 +76,7 @@ def require_file(path: str | Path) -> None:
 
 
 def read_file(path: Path, largest: int = LARGEST_FILE) -> bytes:
-    """Return the content of a regular file.
-
-    Args:
-        path: of the file.
-        largest: the largest number of bytes; no more are read.
+    """Return the content of a regular file, which may have at most ``largest`` bytes.
 
     Raises:
         OSError: as :func:`require_file`, or when the file cannot be read.
@@ -95,11 +91,7 @@ def read_file(path: Path, largest: int = LARGEST_FILE) -> bytes:
 
 
 def read_json(path: Path, kind: str) -> dict[str, Any]:
-    """Return the JSON object in a file.
-
-    Args:
-        path: of the file.
-        kind: of file, for the message, such as "a file of results".
+    """Return the JSON object in a file of a ``kind``, which messages name, such as "a file of results".
 
     Raises:
         OSError, DamagedFileError: as :func:`read_file`.
@@ -149,13 +141,8 @@ def require_writable(path: Path) -> None:
     if not folder.is_dir():
         raise NotADirectoryError(f"cannot write {path}: {folder} is not a folder")
     try:
-        handle, temporary = temporary_file(folder, target.name)
+        handle, temporary = tempfile.mkstemp(dir=folder, prefix=f".{target.name}.")
     except OSError as error:
         raise type(error)(f"cannot write {path}: {error.strerror} (in the folder {folder})") from error
     os.close(handle)
     Path(temporary).unlink()
-
-
-def temporary_file(folder: Path, name: str) -> tuple[int, str]:
-    """Make a file beside the file ``name``, and return its handle and its path."""
-    return tempfile.mkstemp(dir=folder, prefix=f".{name}.")

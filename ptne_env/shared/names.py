@@ -10,14 +10,7 @@ _SYMBOLS = {"T": "deadline", "c": "gain", "K": "steps", "N": "players"}
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = "") -> str:
-    """Return the message that a name does not exist, with similar names, or all where none is similar.
-
-    Args:
-        kind: of the name, such as "scenario".
-        name: as in :func:`suggestion`.
-        known: likewise.
-        otherwise: likewise.
-    """
+    """Return the message that a name of a ``kind``, such as "scenario", does not exist; see :func:`suggestion`."""
     return f"unknown {kind} {name!r}; {suggestion(name, known, otherwise)}"
 
 

@@ -377,7 +377,9 @@ class FactorySpec:
         if not {"target"} <= set(data) <= {"target", "arguments"}:
             raise ValueError(f"a part is an object with 'target' and 'arguments', got the keys {sorted(data)}")
         target, arguments = data["target"], data.get("arguments", {})
-        if isinstance(arguments, list | tuple) and all(_is_pair(item) for item in arguments):
+        if isinstance(arguments, list | tuple) and all(
+            isinstance(item, list | tuple) and len(item) == 2 and isinstance(item[0], str) for item in arguments
+        ):
             arguments = dict(arguments)
         if not (isinstance(target, str) and isinstance(arguments, Mapping)):
             raise ValueError(f"a part has a string 'target' and an object 'arguments', got {dict(data)!r}")
@@ -385,10 +387,6 @@ class FactorySpec:
             return cls.of(target, **arguments)
         except RecursionError:
             raise ValueError(f"the arguments of part {target!r} are nested too deeply") from None
-
-
-def _is_pair(item: Any) -> bool:
-    return isinstance(item, list | tuple) and len(item) == 2 and isinstance(item[0], str)
 
 
 def _unpickle(target: str, arguments: tuple[tuple[str, Any], ...], definition: Any) -> FactorySpec:

@@ -16,15 +16,11 @@ def _add(name: str, game: FactorySpec | str, topology: FactorySpec, description:
     _SCENARIOS[name] = Scenario(name=name, **{"game": game, "topology": topology, **fields}), description
 
 
-def _cycle(players: int) -> FactorySpec:
-    return FactorySpec.of("topology:cycle", players=players)
-
-
 def _between(low: float, high: float) -> FactorySpec:
     return FactorySpec.of("start:uniform", low=low, high=high)
 
 
-_RING = _cycle(players=5)
+_RING = FactorySpec.of("topology:cycle", players=5)
 _PHYSICAL = FactorySpec.of("topology:paper", dwell=0.1, clock="physical")
 _TRANSFORMED = FactorySpec.of("topology:paper", dwell=0.25, clock="transformed")
 _RANDOM_ENERGY = FactorySpec.of("game:random-energy", players=5)
@@ -59,7 +55,7 @@ _add("hvac-ye-hu", _HVAC, _RING,
 _add("cournot", "cournot", _RING,
        "Five firms choose the amounts that they sell in several markets, at most their capacities.",
        start=_between(0.0, 6.0))
-_add("oligopoly", "oligopoly", _cycle(players=4),
+_add("oligopoly", "oligopoly", FactorySpec.of("topology:cycle", players=4),
        "Four firms choose prices; customers share their demand among them.", start=_between(20.0, 60.0))
 _add("robots", "robots", _RING,
        "Five robots in the plane stay near their posts and near each other.", start=_between(-10.0, 10.0))
