@@ -165,8 +165,7 @@ class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, 
             ``SAME_STEP`` (``final_obs`` and ``final_info`` hold the last observation and info), or, with ``DISABLED``,
             on ``reset(options={"reset_mask": mask})``.
         render_mode: ``None``, because a vector of environments does not render.
-        **arguments: arguments of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward, max_cycles and
-            fields of the scenario.
+        **arguments: those of :class:`~ptne_env.envs.vector.VectorParallelEnv`, among them fields of the scenario.
 
     Attributes:
         vector: the wrapped environments.

@@ -212,7 +212,10 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             if self._simulation.state is None or actions != {}:
                 raise RuntimeError("no episode is running: call reset() before step()")
             return {}, {}, {}, {}, {}
-        table, rows = self._table or self._new_table()
+        if self._table is None:  # making the views of its rows takes time
+            table = np.empty((1, len(agents), self.layout.size), dtype=np.float32)
+            self._table = table, list(table[0])
+        table, rows = self._table
         try:
             outcome = self._simulation.step(self._stack(actions), table)
         except NonFiniteActionError:
@@ -290,12 +293,6 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         if self.render_mode == "human" and self._renderer is not None:
             self._renderer.draw()
 
-    def _new_table(self) -> tuple[Float32Array, list[Float32Array]]:
-        """Make the table of observations and its rows once, because making views takes time."""
-        table = np.empty((1, len(self.possible_agents), self.layout.size), dtype=np.float32)
-        self._table = table, list(table[0])
-        return self._table
-
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """Return all actions in the order of the agents, shape (1, N, action size)."""
         try:
@@ -336,10 +333,6 @@ parallel_env = NashSeekingEnv
 def aec_env(scenario: str | Scenario = "energy", **arguments: Any) -> AECEnv:
     """Return PettingZoo's turn-based (AEC) form, in which players act one after the other on the same observation.
 
-    The order of calls is checked.
-
-    Args:
-        scenario: a name of the catalogue or a scenario.
-        **arguments: the arguments of :func:`ptne_env.parallel_env`, which also has the errors.
+    The order of calls is checked. Arguments and errors are those of :func:`ptne_env.parallel_env`.
     """
     return OrderEnforcingWrapper(parallel_to_aec_wrapper(parallel_env(scenario, **arguments)))

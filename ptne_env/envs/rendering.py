@@ -20,12 +20,6 @@ if TYPE_CHECKING:
 _SIZE, _DPI = (9.6, 5.4), 100
 _STYLE = {"font.size": 11, "legend.fontsize": 11}
 
-_MOST_LINES = 200
-"""Largest number of lines with which the estimates of other players are drawn beside the strategies."""
-
-_MOST_NAMES = 10
-"""Largest number of players that the legend names."""
-
 _Limits = tuple[tuple[float, float], tuple[float, float]]
 
 
@@ -128,7 +122,7 @@ class Renderer:
         estimates.set_title(f"{reading}, dotted: equilibrium", loc="left")
         for component, owner in enumerate(game.owners):
             estimates.axhline(game.nash_equilibria[component, 0], color=_colour(owner), linestyle=":", linewidth=1)
-        if game.num_players <= _MOST_NAMES:
+        if game.num_players <= 10:  # as many names as fit below the axes
             for player in range(game.num_players):
                 estimates.plot([], [], color=_colour(player), linewidth=2, label=f"player_{player}")
             place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.11), "ncols": 5}
@@ -177,7 +171,8 @@ class Renderer:
 
     @property
     def _is_crowded(self) -> bool:
-        return self.world.game.dimension * self.world.game.num_players > _MOST_LINES
+        """Whether there are too many estimates of other players to be drawn beside the strategies."""
+        return self.world.game.dimension * self.world.game.num_players > 200
 
     @property
     def _thinness(self) -> float:

@@ -43,8 +43,7 @@ class PlayerVecEnv(VecEnv):
         num_envs: B, the number of environments; the ``num_envs`` of the VecEnv is B·N.
         seed: the seed of the first reset; environment b gets seed + b.
         render_mode: ``"rgb_array"`` for pictures of environment 0, as ``VecVideoRecorder`` takes them, or ``None``.
-        **arguments: arguments of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward, max_cycles and
-            fields of the scenario.
+        **arguments: those of :class:`~ptne_env.envs.vector.VectorParallelEnv`, among them fields of the scenario.
 
     Attributes:
         vector: the environments.

@@ -62,12 +62,7 @@ class EpisodeStart(NamedTuple):
 
 
 def override_fields(scenario: str | Scenario, overrides: Mapping[str, Any], make: Callable[..., Any]) -> Scenario:
-    """Return the scenario of an environment, with the fields that were given to the constructor of the environment.
-
-    Args:
-        scenario: a name of the catalogue or a scenario.
-        overrides: the keyword arguments that are not parameters of the constructor.
-        make: the constructor.
+    """Return the scenario of an environment, with the fields that were given to its constructor, ``make``.
 
     Raises:
         TypeError: for a keyword that is not a field, naming similar ones, or all where none is similar.
@@ -113,12 +108,9 @@ def require_options(options: Any, *known: str) -> Mapping[str, Any]:
 
 
 def read_estimates(layout: ObservationLayout, num_envs: int, estimates: npt.ArrayLike) -> FloatArray:
-    """Return the initial estimates of B environments as a read-only array of shape (n, N, B).
+    """Return a caller's table of initial estimates as a read-only array of shape (n, N, B).
 
-    Args:
-        layout: the layout of the environments.
-        num_envs: B.
-        estimates: the caller's table, shape (N, n) for all environments or (B, N, n), row i being x^i(0).
+    The table has the shape (N, n), for all of B environments, or (B, N, n), row i being x^i(0).
 
     Raises:
         ValueError: for another shape, or for entries that are not numbers.
@@ -134,17 +126,11 @@ def read_estimates(layout: ObservationLayout, num_envs: int, estimates: npt.Arra
 
 
 class Simulation:
-    """B environments that are stepped together and reset one by one.
-
-    Args:
-        encoder: the encoder of observations and actions, whose world is simulated.
-        reward: the name of a reward term, or weights by name.
-        max_cycles: the number of steps after which an episode is truncated, or ``None``.
-        num_envs: B.
+    """B environments that are stepped together and reset one by one; arguments as in :class:`~ptne_env.NashSeekingEnv`.
 
     Attributes:
-        encoder: the encoder.
-        world: the world of the encoder.
+        encoder: the encoder of observations and actions.
+        world: the world of the encoder, which is simulated.
         num_envs: B.
         reward_names: the names of the reward terms in infos.
 

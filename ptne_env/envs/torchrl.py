@@ -40,8 +40,7 @@ class TorchRLEnv(EnvBase):
         scenario: a name of the catalogue or a scenario.
         num_envs: B.
         seed: the seed of the first reset; environment b gets seed + b.
-        **arguments: arguments of :class:`~ptne_env.envs.vector.VectorParallelEnv`: interface, reward, max_cycles and
-            fields of the scenario.
+        **arguments: those of :class:`~ptne_env.envs.vector.VectorParallelEnv`, among them fields of the scenario.
 
     Attributes:
         vector: the environments.

@@ -37,9 +37,6 @@ from ptne_env.world.world import World
 EPISODES = 100
 """Episodes of a scenario in a comparison, unless another number is asked for."""
 
-DECIMALS = 7
-"""Significant decimals of the values of metrics. All tables follow from these numbers, which a file holds exactly."""
-
 
 @dataclass(frozen=True)
 class JobResult:
@@ -121,7 +118,8 @@ class Job:
 
 
 def _round_values(values: FloatArray) -> FloatArray:
-    return np.array([float(f"{value:.{DECIMALS}g}") for value in values.tolist()])
+    """Round to 7 significant decimals, which a file holds exactly; all tables follow from these numbers."""
+    return np.array([float(f"{value:.7g}") for value in values.tolist()])
 
 
 @lru_cache(maxsize=2)  # jobs with the same episodes follow each other

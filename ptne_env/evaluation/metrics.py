@@ -25,8 +25,6 @@ MOST_DIGITS = 12.0
 Block: TypeAlias = Literal["How close", "At what cost"]
 """The table in which a metric stands."""
 
-_CHOICES = {"direction": ("higher", "lower", None), "block": get_args(Block), "statistic": STATISTICS}
-
 
 def number(value: float | None) -> str:
     """Format a number with three significant digits; a dash stands for none."""
@@ -77,7 +75,8 @@ class Metric:
     is_timing: bool = False
 
     def __post_init__(self) -> None:
-        for name, choices in _CHOICES.items():
+        allowed = {"direction": ("higher", "lower", None), "block": get_args(Block), "statistic": STATISTICS}
+        for name, choices in allowed.items():
             if (value := getattr(self, name)) not in choices:
                 expected = " or ".join(map(repr, choices))
                 raise ValueError(f"the {name} of metric {self.name!r} is {expected}, got {value!r}")
@@ -173,14 +172,6 @@ def _mean_regret(rollout: Rollout) -> FloatArray:
     return np.divide(mean, regrets[0], out=np.full_like(mean, np.nan), where=regrets[0] > 0)
 
 
-def _saturated_share(rollout: Rollout) -> FloatArray:
-    return ordered_sum(rollout["saturated"]) / np.maximum(ordered_sum(rollout["components"]), 1)
-
-
-def _microseconds(rollout: Rollout) -> FloatArray:
-    return np.full(rollout.diverged.shape, 1e6 * rollout.seconds_per_decision)
-
-
 _DIGITS, _SHARE, _POSITIVE = (-math.inf, MOST_DIGITS), (0.0, 1.0), (0.0, math.inf)
 
 # fmt: off
@@ -217,12 +208,15 @@ for _metric in (
     Metric("peak_input", "peak |u|", "largest |u| to the deadline", "lower", "At what cost",
            lambda rollout: rollout["peak_input"].max(axis=0), range=_POSITIVE),
     Metric("saturated_share", "saturated share", "share of input components at the input limit", "lower",
-           "At what cost", _saturated_share, range=_SHARE),
+           "At what cost",
+           lambda rollout: ordered_sum(rollout["saturated"]) / np.maximum(ordered_sum(rollout["components"]), 1),
+           range=_SHARE),
     Metric("diverged_share", "diverged share", "share of episodes that left the range", "lower", "At what cost",
            lambda rollout: rollout.diverged.astype(np.float64), range=_SHARE),
     Metric("microseconds_per_decision", "µs per decision",
            "microseconds of the policy per player and step, all episodes in one batch", "lower", "At what cost",
-           _microseconds, is_timing=True, range=_POSITIVE),
+           lambda rollout: np.full(rollout.diverged.shape, 1e6 * rollout.seconds_per_decision), is_timing=True,
+           range=_POSITIVE),
 ):
     register(_metric)
 # fmt: on

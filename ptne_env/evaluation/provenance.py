@@ -21,20 +21,17 @@ LIBRARIES = ("numpy", "scipy", "networkx")
 """The libraries that every result depends on."""
 
 
-def canonical_json(value: Any) -> str:
-    """Return JSON with sorted keys, without spaces, and without the keys whose value is ``None``."""
+def content_hash(value: Any) -> str:
+    """Return the SHA-256, in hexadecimal, of JSON with sorted keys, without spaces and keys whose value is ``None``."""
 
     def without_none(item: Any) -> Any:
         if isinstance(item, Mapping):
             return {key: without_none(child) for key, child in item.items() if child is not None}
         return [without_none(child) for child in item] if isinstance(item, list | tuple) else item
 
-    return json.dumps(without_none(value), sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-
-
-def content_hash(value: Any) -> str:
-    """Return the SHA-256 of :func:`canonical_json`, in hexadecimal."""
-    return sha256(canonical_json(value).encode()).hexdigest()
+    canonical = without_none(value)
+    text = json.dumps(canonical, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    return sha256(text.encode()).hexdigest()
 
 
 def unequal(published: Any, expected: Any, place: str = "") -> Iterator[str]:

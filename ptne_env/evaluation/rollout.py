@@ -21,10 +21,6 @@ from ptne_env.world.dynamics import State
 from ptne_env.world.rewards import REWARD_LIMIT, limit_distance, measure_distances
 from ptne_env.world.world import World
 
-REGRET_INTERVALS = 20
-"""Number of intervals between the instants at which regrets are recorded; in every step they would cost as much as a
-law."""
-
 
 @dataclass(frozen=True)
 class Rollout:
@@ -65,11 +61,11 @@ def record_instant(state: State) -> dict[str, FloatArray]:
 
 
 def regret_instants(world: World) -> IntArray:
-    """Return the instants at which regrets are recorded, from the start to the deadline.
+    """Return the 21 instants at which regrets are recorded: in every step they would cost as much as a law.
 
     The spaces between them grow, because regrets fall fast at first: with even ones, all fast policies look alike.
     """
-    places = np.linspace(0, 1, REGRET_INTERVALS + 1)
+    places = np.linspace(0, 1, 21)
     return np.unique((world.clock.steps * places**2).round().astype(np.int64))
 
 

@@ -112,12 +112,8 @@ def _squared_quantile(parts: Sequence[tuple[float, int]]) -> float:
 def chance(excess: float, *samples: FloatArray) -> float:
     """Return the probability with which chance alone gives such an excess of a mean, or of a difference of two means.
 
-    It is that of Student's one-sided test for one sample, and of Welch's (1947) for two independent ones. Where nothing
-    tells how much a mean varies, it is 1.
-
-    Args:
-        excess: the mean of one sample, or the difference of two.
-        *samples: the sample or samples, shape (episodes,).
+    It is that of Student's one-sided test for one sample, (episodes,), and of Welch's (1947) for two independent ones.
+    Where nothing tells how much a mean varies, it is 1.
     """
     if min(values.size for values in samples) < 2:
         return 1.0
@@ -151,16 +147,13 @@ def differ_by_rounding(old: FloatArray, new: FloatArray, level: float) -> bool:
 def tail_values(samples: FloatArray) -> FloatArray:
     """Return values whose mean is the conditional value at risk, the mean of the worst tenth of the episodes.
 
+    The samples, (training seeds, episodes), where low ones are bad, and the values have the same shape; all values are
+    NaN if a sample is.
+
     The worst tenth has k ≥ 1 of the E episodes. With q the worst of the others, x becomes q + min(x − q, 0) E/k
     (Rockafellar and Uryasev 2000). The interval of the mean is that of the CVaR, because q moves it in second order
     only. As it rests on k episodes, deviations from the mean are stretched by the ratio of Student's quantiles at k and
     E − 1 degrees of freedom.
-
-    Args:
-        samples: shape (training seeds, episodes); low values are bad.
-
-    Returns:
-        The same shape; NaN everywhere if a sample is NaN.
     """
     episodes = samples.shape[-1]
     if episodes == 1:
@@ -179,14 +172,9 @@ def tail_values(samples: FloatArray) -> FloatArray:
 def median_values(samples: FloatArray) -> FloatArray:
     """Return values whose mean is the median over episodes, and whose variance is that of the median.
 
+    The samples, (training seeds, episodes), and the values have the same shape; all values are NaN if a sample is.
     They are the median ± d √E/z, upper for the episodes above it, where z = 1.96 and 2 d is the length of the interval
     of order statistics at the ranks E/2 ± z √E/2 (Woodruff 1952).
-
-    Args:
-        samples: shape (training seeds, episodes).
-
-    Returns:
-        The same shape; NaN everywhere if a sample is NaN.
     """
     if not np.isfinite(samples).all():
         return np.full_like(samples, np.nan)

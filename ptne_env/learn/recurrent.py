@@ -157,13 +157,7 @@ def initial_memory(weights: Weights, layout: ObservationLayout, players: int, xp
 def run_network(
     weights: Weights, layout: ObservationLayout, seen: Seen, memory: PlayerMemory
 ) -> tuple[Any, PlayerMemory, Any]:
-    """Decide for players.
-
-    Args:
-        weights: the weights of the network.
-        layout: the layout of the observations, whose limits players know.
-        seen: the observations.
-        memory: the memory of the players.
+    """Decide for players, from what they have ``seen``, their ``memory`` and the limits of the ``layout``.
 
     Returns:
         The inputs u in natural units, shape (n, M); the memory for the next step; and the copy gates, the share of the

@@ -19,10 +19,7 @@ def load_archive(path: str, layout: ObservationLayout | None = None) -> NetworkP
     """Load the policy network of a model of any algorithm of Stable-Baselines3. This executes code in the file.
 
     Torch is set to one thread, so that the same bits come out in every run. The interface is recognised by the spaces.
-
-    Args:
-        path: the archive.
-        layout: the layout of the environment in which the policy must be able to act; not checked if left out.
+    The policy must be able to act with a ``layout``, if one is given.
 
     Raises:
         FileNotFoundError: when there is no such file.

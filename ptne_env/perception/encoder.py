@@ -108,12 +108,8 @@ class _Workspace(NamedTuple):
 class Encoder:
     """Observations and inputs of one interface in one world.
 
-    Args:
-        world: the world.
-        interface: what is observed, and in which units and order.
-
     Attributes:
-        world: as given.
+        world: the world.
         layout: of observations and actions; policies are built from it.
         parts: of the observation: where they are, and a table for each step, shape (size, N or 1, K+H+1), or for all,
             (size, N or 1, 1), or else the function of a :class:`View` that computes them. Neighbours are one part where
@@ -158,12 +154,7 @@ class Encoder:
         return result
 
     def observe(self, state: State, out: Float32Array | None = None) -> Float32Array:
-        """Observations of all players, shape (B, N, size), float32, C-contiguous and owned by the caller.
-
-        Args:
-            state: the observed state.
-            out: where to write, of that shape and C-contiguous; a new array if left out.
-        """
+        """Observations of all players, (B, N, size), float32, C-contiguous, in ``out`` or in an array of the caller."""
         batch = state.estimates.shape[2]
         workspace = self._workspaces.get(batch) or self._prepare(batch)
         view, world, links = workspace.view, self.world, None

@@ -219,12 +219,8 @@ class ObservationLayout:
     @cached_property
     def own_components(self) -> IntArray:
         """Components of each player's own block, padded with n to the largest n_i; shape (N, m)."""
-        result = np.full((self.num_players, max(self.action_dims)), self.dimension, dtype=np.int64)
-        offset = 0
-        for player, dim in enumerate(self.action_dims):
-            result[player, :dim] = np.arange(offset, offset + dim)
-            offset += dim
-        return result
+        dims, places = np.array(self.action_dims)[:, None], np.arange(max(self.action_dims))
+        return np.where(places < dims, np.cumsum(dims, axis=0) - dims + places, self.dimension)
 
     @cached_property
     def own_places(self) -> BoolArray:
@@ -244,16 +240,14 @@ class ObservationLayout:
     @cached_property
     def neighbour_components(self) -> BoolArray:
         """Whether component c belongs to the neighbour in slot d of player i, shape (N, D, n)."""
-        owners = np.repeat(np.arange(self.num_players), self.action_dims)
         neighbours = np.array(self.neighbours)
-        own = neighbours == np.arange(self.num_players)[:, None]
-        return (owners == neighbours[:, :, None]) & ~own[:, :, None]
+        is_padded = neighbours == np.arange(self.num_players)[:, None]
+        return self.own_mask[neighbours] & ~is_padded[:, :, None]
 
     @cached_property
     def own_mask(self) -> BoolArray:
         """Whether component c is player i's own, shape (N, n)."""
-        owners = np.repeat(np.arange(self.num_players), self.action_dims)
-        return owners == np.arange(self.num_players)[:, None]
+        return np.logical_or.reduce(self.own_places, axis=1)
 
     def select(self, observation: Any, name: str) -> Any:
         """The slice ``name`` of observations of shape (..., size), of numpy or JAX.

@@ -17,8 +17,6 @@ from ptne_env.perception.observation import Interface, LayoutError, ObservationL
 from ptne_env.shared.arrays import BoolArray, Float32Array
 from ptne_env.shared.files import DamagedFileError
 
-_LONGEST_DESCRIPTION = 500
-
 
 class PolicyError(RuntimeError):
     """A policy raised an error, answered in another form, or broke a rule of the protocol."""
@@ -30,16 +28,10 @@ class PolicyFileError(DamagedFileError):
 
 def describe(error: BaseException) -> str:
     """Return class, message and place of an error that foreign code raised, in printable characters."""
-    text = _printable(f"{type(error).__name__}: {error}")
+    text = f"{type(error).__name__}: {error}"[:500]
     if frames := extract_tb(error.__traceback__):
-        text += _printable(f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})")
-    return text
-
-
-def _printable(text: str) -> str:
-    """Return the beginning of a text, with blanks for all characters that are not printable."""
-    beginning = text[:_LONGEST_DESCRIPTION]
-    return "".join(character if character.isprintable() else " " for character in beginning)
+        text += f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+    return "".join(character if character.isprintable() else " " for character in text)
 
 
 def decision(policy: Policy, observation: Float32Array, state: Any, episode_start: BoolArray) -> tuple[Any, Any]:
@@ -119,13 +111,9 @@ class RowPolicy(ABC):
 
     @abstractmethod
     def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:
-        """Return the actions of R players, one row each, and their memory.
+        """Return actions and memory as :meth:`Policy.predict`, for observations of R players, shape (R, size).
 
-        Args:
-            rows: the observations, shape (R, size).
-            memory: as the previous call returned it; ``None`` at first.
-            starts: where True, the memory of that row starts afresh; shape (R,).
-            deterministic: whether a stochastic policy takes its mode.
+        ``starts`` is its ``episode_start``, shape (R,), here never ``None``.
         """
 
     def predict(

@@ -102,14 +102,10 @@ def is_part(target: str) -> bool:
 
 
 def foreign_targets(data: Any) -> list[str]:
-    """List the targets in a spec, or in JSON data at any depth, that are no parts of this library; import nothing.
+    """List the targets in a spec or in JSON data that are no parts of this library, sorted; nothing is imported.
 
-    Args:
-        data: a :class:`FactorySpec`, or the content of a file: a scenario, a suite or results. In all of these, what
-            names a callable is an object with the key ``target``.
-
-    Returns:
-        The targets, sorted, each once.
+    The data may be the content of a file: a scenario, a suite or results. In all of these, what names a callable, at
+    any depth, is an object with the key ``target``.
     """
     foreign, pending = set(), [data]
     while pending:

@@ -161,25 +161,24 @@ class StepClock:
         if self.hold_steps and self.gain == 0:
             raise ValueError("hold_steps need a gain c > 0: with c = 0 nothing moves after the deadline")
 
-        deadline = transformation.deadline
         s = self._grid()
         t = transformation.time(s)
         self.time_reached = float(t[-1])
-        if not self.time_reached < deadline:
+        if not self.time_reached < self.deadline:
             raise ValueError(
                 f"s_end = {s_end} is too long: float64 cannot tell T − t from 0 there; shorten it (36 is the limit of "
                 "the exponential transformation)"
             )
-        if not np.all(np.diff(t) > 0):
+        dt = np.diff(t)
+        if not np.all(dt > 0):
             raise ValueError(
                 f"steps = {steps} up to s_end = {s_end} are too short near the deadline: float64 cannot tell t from "
                 "the t of the next step; use fewer steps or a shorter s_end"
             )
-        dt = np.diff(t)
         theta = np.diff(s) + self.gain * dt
         hold_theta = np.full(self.hold_steps, theta.mean())
         hold_dt = hold_theta / self.gain if self.hold_steps else hold_theta
-        self.t = freeze(np.concatenate([t[:-1], deadline + np.concatenate([[0.0], np.cumsum(hold_dt)])]))
+        self.t = freeze(np.concatenate([t[:-1], self.deadline + np.concatenate([[0.0], np.cumsum(hold_dt)])]))
         self.s = freeze(np.concatenate([s, np.full(self.hold_steps, s[-1])]))
         self.theta = freeze(np.concatenate([theta, hold_theta, [0.0]]))
         self.dt = freeze(np.concatenate([dt, hold_dt, [0.0]]))

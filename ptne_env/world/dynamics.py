@@ -145,20 +145,24 @@ def require_state(world: World, state: State, batch: int) -> None:
     """
     if not isinstance(state, State):
         raise ValueError(f"a state is a ptne_env.world.dynamics.State, got {type(state).__name__}")
-    expected, game, last = (world.game.dimension, world.game.num_players, batch), world.game, world.clock.total_steps
+    game, last = world.game, world.clock.total_steps
+    expected = game.dimension, game.num_players, batch
     if state.estimates.shape != expected or state.step.shape != (batch,):
         raise ValueError(f"a state of this environment has estimates of shape {expected}, got {state.estimates.shape}")
     if not np.all((state.step >= 0) & (state.step <= last)):
         raise ValueError(f"a step of this environment is 0 to {last}, got {state.step.tolist()}")
     if not _in_range(state.estimates):
         raise ValueError(f"the estimates of a state must be finite and within ±{RANGE_LIMIT:g}")
-    needed = {
+    modes: Any = None if state.randomness is None else state.randomness.modes
+    messages: Any = None if state.received is None else state.received.messages
+    fits = {
         "players and dimensions": state.game.action_dims == game.action_dims and state.game.batch_size in (1, batch),
         "random draws": (state.randomness is not None) == world.has_episode_randomness,
-        "active graphs": _fits_topology(world, state, batch),
-        "received messages": _fits_channel(world, state, batch),
+        "active graphs": np.shape(modes) == ((last + 1, batch) if world.topology.is_random else ())
+        and (modes is None or modes.max() < len(world.topology.graphs)),
+        "received messages": np.shape(messages) == (() if world.channel.is_perfect else (world.slots, *expected)),
     }
-    faults = [name for name, fits in needed.items() if not fits]
+    faults = [name for name, is_so in fits.items() if not is_so]
     if faults:
         raise ValueError(
             f"the state is of another world: its {', '.join(faults)} are not those of scenario {world.scenario.name!r}"
@@ -350,21 +354,6 @@ def _clip(array: FloatArray) -> FloatArray:
     """Clip numbers to ±RANGE_LIMIT; NaN becomes RANGE_LIMIT."""
     xp = array_namespace(array)
     return xp.clip(xp.nan_to_num(array, nan=RANGE_LIMIT), -RANGE_LIMIT, RANGE_LIMIT)
-
-
-def _fits_topology(world: World, state: State, batch: int) -> bool:
-    modes = None if state.randomness is None else state.randomness.modes
-    if modes is None:
-        return not world.topology.is_random
-    expected = (world.clock.total_steps + 1, batch)
-    return world.topology.is_random and modes.shape == expected and bool(modes.max() < len(world.topology.graphs))
-
-
-def _fits_channel(world: World, state: State, batch: int) -> bool:
-    if state.received is None:
-        return world.channel.is_perfect
-    expected = (world.slots, world.game.dimension, world.game.num_players, batch)
-    return not world.channel.is_perfect and state.received.messages.shape == expected
 
 
 def _transmit(world: World, state: State, memory: Memory | None) -> Received:

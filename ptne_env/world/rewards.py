@@ -79,11 +79,9 @@ TERMS: Mapping[str, Term] = {
 
 
 class Reward:
-    """The reward of one world, with a memory of the previous instant. It computes with the library of its states.
+    """The reward of one world, a term by its name or weights by name, with a memory of the previous instant.
 
-    Args:
-        world: the world.
-        reward: a term's name, or weights by name.
+    It computes with the library of its states.
 
     Attributes:
         weights: by term.

@@ -20,10 +20,7 @@ UNIFORM_START = FactorySpec.of("start:uniform", low=-20.0, high=20.0)
 PART_FIELDS = ("game", "topology", "start", "transformation", "channel", "disturbance")
 """The fields that name a part; each is the kind of the ids of its parts."""
 
-_ARRAYS = {
-    "topology": ("topology:graph", "adjacency"),
-    "start": ("start:fixed", "estimates"),
-}
+_ARRAYS = {"topology": ("topology:graph", "adjacency"), "start": ("start:fixed", "estimates")}
 """The parts that an array makes: their target, and the argument that is the array."""
 
 _OTHERS = {"topology": ", an adjacency matrix, a graph of networkx", "start": ", an array (N, n)"}

@@ -167,11 +167,7 @@ class World:
         return EpisodeRandomness(modes, age, *np.array(keys, dtype=np.uint64))
 
     def order_components(self, order: IntArray) -> ComponentOrder:
-        """Return the rows of estimates in another order of components.
-
-        Args:
-            order: the component at each place of each player's order, shape (N, n).
-        """
+        """Return the rows of estimates in another order: the component at each place of each player's, (N, n)."""
         first_rows = order.T * self.game.num_players
         return ComponentOrder(
             first_rows + np.arange(self.game.num_players), first_rows[None] + self.neighbours[:, None, :]
