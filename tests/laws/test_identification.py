@@ -96,3 +96,14 @@ def test_covariance_stays_positive_and_bounded_in_every_unit(generator, scale, s
         assert (values > -1e-9 * widest).all()
         assert (values < COMPONENTS * widest).all()
     assert np.isfinite(model.rows).all()
+
+
+@pytest.mark.parametrize("spread", [1e3, 1e7])
+def test_covariance_stays_positive_where_nearly_all_moves_have_one_direction(generator, spread):
+    """Without a floor of the variance, rounding of float64 makes eigenvalues as negative as −1e9 times the largest."""
+    model = begin(generator, spread)
+    for _ in range(200):
+        displacement = generator.normal(size=(ROWS, COMPONENTS)) * [1.0, 1e-4, 1e-8, 1e-8, 1e-8]
+        model = feed(model, displacement[None], 3 * displacement[None, :, :OUTPUTS])
+        assert (np.linalg.eigvalsh(model.covariance) > -1e-9 * model.widest**2).all()
+    assert model.rows[:, :, 0] == pytest.approx(np.tile([3.0, 0.0], (ROWS, 1)), abs=1e-3)

@@ -172,6 +172,19 @@ def test_noise_that_begins_late_is_averaged_too():
     assert results.samples["late", "relay"]["digits"].mean() > 2.9
 
 
+def test_estimates_follow_neighbours_whose_messages_never_change():
+    """Rounding hides all, so no message is news, and a copy in the middle is better than a far start."""
+    hidden = get_scenario(
+        "random-energy",
+        steps=100,
+        start=FactorySpec.of("start:uniform", low=-400.0, high=400.0),
+        channel=channel_part("UniformQuantiser", width=1000.0),
+    )
+    results = evaluate(["relay", "zero-input"], [hidden], episodes=4)
+    relay, nothing = (results.summary("random-energy", name, "digits").mean for name in results.policies)
+    assert relay > nothing + 1
+
+
 def test_slow_moves_add_up_to_news():
     """Inputs are so limited that no step moves a copy by more than noise."""
     slow = RANDOM.replace(name="slow", deadline=0.3, input_limit=4.0, channel=channel_part("AdditiveNoise", std=0.02))
