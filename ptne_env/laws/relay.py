@@ -99,7 +99,7 @@ class Relay(RecordLaw):
        above 3 σ is no noise, and starts the count again.
     3. *Copies.* Δx^i_c = w × mean of (x^j_c − x^i_c) over the live sources j of component c of another player. Where
        there has been no news of c for ``patience`` and N steps, as where rounding hides all, all neighbours count as
-       sources.
+       sources, and estimates go half of the way.
     4. *Identification.* :func:`~ptne_env.laws.identification.identify` updates the rows G of dF from the changes of own
        estimates and own gradient.
     5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l G_{i,−i} Δx_{−i}), the best response to the copies. D has the
@@ -150,7 +150,7 @@ class Relay(RecordLaw):
         is_probe = was.steps < blocks.shape[1]
         mean = np.where(is_own | is_probe, 0.0, mean_difference(observation, sources))
         noise, weight = self._weigh(noise, mean, was.steps)
-        drift = weight * mean
+        drift = np.where(is_silent, 0.5, 1.0) * weight * mean  # two players who copy each other would exchange copies
 
         gradient = own_entries(observation.gradient, blocks)
         widest = _SPREAD * largest(gradient) / np.where(scale > 0, scale, 1.0)

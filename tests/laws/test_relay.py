@@ -185,6 +185,18 @@ def test_estimates_follow_neighbours_whose_messages_never_change():
     assert relay > nothing + 1
 
 
+def test_players_without_news_meet_in_the_middle():
+    """Two players who hear of a third one from each other alone: whole steps would exchange their copies for ever."""
+    edges = FactorySpec.of("topology:edges", players=3, edges=[[0, 1]])
+    away = FactorySpec.of("topology:edges", players=3, edges=[[1, 2]])
+    late = FactorySpec.of("topology:periodic", graphs=[edges, away], dwells=[100.0, 1.0], clock="transformed")
+    world, encoder = world_and_encoder(get_scenario("random-energy", players=3, topology=late, steps=200))
+    states = run(world, encoder, laws.Relay(encoder.layout), begin(world, [0]))[..., 0]
+    copies = states[-2, 2, :2]
+    assert copies[0] == pytest.approx(copies[1], abs=1e-6 * np.abs(copies).max())
+    assert np.abs(states[30, 2, 0] - states[30, 2, 1]) < np.abs(states[0, 2, 0] - states[0, 2, 1])
+
+
 def test_slow_moves_add_up_to_news():
     """Inputs are so limited that no step moves a copy by more than noise."""
     slow = RANDOM.replace(name="slow", deadline=0.3, input_limit=4.0, channel=channel_part("AdditiveNoise", std=0.02))
