@@ -24,7 +24,6 @@ from gymnasium.vector.utils import batch_space
 from ptne_env.envs.parallel import NashSeekingEnv
 from ptne_env.envs.simulation import require_options
 from ptne_env.envs.vector import VectorParallelEnv
-from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain, ordered_sum
 from ptne_env.world.scenario import Scenario
 
@@ -112,7 +111,7 @@ class JointEnv(_HasReadableSpec, gymnasium.Env[Float32Array, Float32Array]):
     ) -> None:
         self.parallel = NashSeekingEnv(scenario, render_mode=render_mode, **arguments)
         self.scenario = self.parallel.scenario
-        self.layout: ObservationLayout = self.parallel.layout
+        self.layout = self.parallel.layout
         self.render_mode = render_mode
         players = len(self.parallel.possible_agents)
         self.observation_space = _join_boxes(self.layout.observation_space(), players)
@@ -190,7 +189,7 @@ class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, 
         self.metadata = {**JointEnv.metadata, "render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
         self.scenario = self.vector.scenario
-        self.layout: ObservationLayout = self.vector.layout
+        self.layout = self.vector.layout
         self.num_envs = self.vector.num_envs
         self.render_mode = None
         players = self.vector.num_players

@@ -20,7 +20,6 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
 
 from ptne_env.envs.rendering import Renderer
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
-from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, as_plain, require_count
 from ptne_env.world.scenario import Scenario
 
@@ -66,7 +65,7 @@ class PlayerVecEnv(VecEnv):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"unknown render_mode {render_mode!r}; choose None or 'rgb_array'")
         self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
-        self.layout: ObservationLayout = self.vector.layout
+        self.layout = self.vector.layout
         self.render_mode = render_mode
         self._pictured = self.vector._blocks[0]  # noqa: SLF001 - its first environment is number 0
         self._renderer = Renderer(self._pictured.encoder.world, render_mode) if render_mode else None

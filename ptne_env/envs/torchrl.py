@@ -19,7 +19,6 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
     raise ImportError('the TorchRL adapter needs an extra: pip install "ptne-env[torchrl]"') from error
 
 from ptne_env.envs.vector import VectorParallelEnv
-from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.arrays import BoolArray, require_count
 from ptne_env.world.scenario import Scenario
 
@@ -58,7 +57,7 @@ class TorchRLEnv(EnvBase):
         vector = VectorParallelEnv(scenario, num_envs, **arguments)
         super().__init__(device="cpu", batch_size=(vector.num_envs,))
         self.vector = vector
-        self.layout: ObservationLayout = vector.layout
+        self.layout = vector.layout
         self.group_map = {GROUP: [f"player_{index}" for index in range(vector.num_players)]}
         self._set_seed(seed)
 

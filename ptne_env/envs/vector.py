@@ -184,21 +184,15 @@ class VectorParallelEnv:
             block.step(actions[part], observations[part], start)
             for block, part, start in zip(self._blocks, self._slices, drawn, strict=True)
         ]
-        terminated = np.concatenate([outcome.terminated for outcome in outcomes])
-        truncated = np.concatenate([outcome.truncated for outcome in outcomes])
+        rewards, terms, *arrays = zip(*outcomes, strict=True)
+        terminated, truncated, diverged, is_success, clipped = map(np.concatenate, arrays)
         self._over = terminated | truncated
-        clipped = np.concatenate([outcome.clipped for outcome in outcomes])
         if restart is not None:
             clipped[restart] = 0
-        infos = {
-            "diverged": np.concatenate([outcome.diverged for outcome in outcomes]),
-            "clipped": clipped,
-            "is_success": np.concatenate([outcome.is_success for outcome in outcomes]),
-        }
-        for name, term in zip(self.reward_names, outcomes[0].terms, strict=True):
-            infos[name] = self._by_env([outcome.terms[term] for outcome in outcomes])
-        rewards = self._by_env([outcome.rewards for outcome in outcomes])
-        return VectorStep(observations, rewards, terminated, truncated, infos)
+        infos = {"diverged": diverged, "clipped": clipped, "is_success": is_success}
+        for name, term in zip(self.reward_names, terms[0], strict=True):
+            infos[name] = self._by_env([block[term] for block in terms])
+        return VectorStep(observations, self._by_env(rewards), terminated, truncated, infos)
 
     def _first_infos(self) -> dict[str, Any]:
         """Return the infos of :class:`VectorStep` for environments that have just started."""
@@ -228,7 +222,7 @@ class VectorParallelEnv:
             for block, part in zip(self._blocks, self._slices, strict=True)
         ]
 
-    def _by_env(self, parts: list[FloatArray]) -> FloatArray:
+    def _by_env(self, parts: Sequence[FloatArray]) -> FloatArray:
         """Return the blocks' arrays (N, B) as one C-contiguous array (B, N)."""
         result = np.empty((self.num_envs, self.num_players))
         np.concatenate([part.T for part in parts], out=result)

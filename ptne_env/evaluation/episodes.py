@@ -16,9 +16,6 @@ Split: TypeAlias = Literal["train", "validation", "test"]
 _WORD = 32
 """Number of bits that a seed, and the number of an episode, take in the seed of an episode."""
 
-_POOL = 4
-"""Number of words to which numpy's ``SeedSequence`` pads its entropy when a spawn key follows."""
-
 
 def episode_seed(seed: int, episode: int, split: Split = "test") -> int:
     """Return the seed of an episode; ``env.reset(seed=episode_seed(S, k))`` starts episode k of a comparison.
@@ -46,7 +43,7 @@ def track_seed(suite: str, track: str, split: Split, seed: int, episode: int) ->
     """
     _require(split, seed, episode)
     key = (int.from_bytes(sha256(name.encode()).digest()[:4], "big") for name in (suite, track, split))
-    return seed + (episode << _WORD) + sum(word << (_POOL + place) * _WORD for place, word in enumerate(key))
+    return seed + (episode << _WORD) + sum(word << place * _WORD for place, word in enumerate(key, 4))
 
 
 def _require(split: str, seed: int, episode: int) -> None:

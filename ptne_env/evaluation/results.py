@@ -30,9 +30,6 @@ from ptne_env.shared.names import unknown_name
 FORMAT = 8
 """The version of ``results.json``; a file of another version is refused."""
 
-_FORMULA = re.compile(r"(^|[,;\t]\s*)([=+\-@\t\r])")
-"""What a spreadsheet takes for the beginning of a formula, at the beginning of a text or of a part of it."""
-
 Record: TypeAlias = dict[str, Any]
 """Keys: track, policy, metric, mean, low, high, episodes; the numbers are ``None`` as in a :class:`Summary`."""
 
@@ -264,15 +261,13 @@ class Results:
 
         A text that a spreadsheet would read as a formula is preceded by ``'``.
         """
-        buffer = io.StringIO()
-        writer = csv.DictWriter(buffer, list(next(iter(self._rows()), ())), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({key: _cell(value) for key, value in row.items()} for row in self._rows())
-        return buffer.getvalue()
-
-    def _rows(self) -> list[Record]:
         common = {"seed": self.seed, "split": self.split, "version": __version__, "suite": self.name}
-        return [record | common for record in self.records]
+        rows = [{key: _cell(value) for key, value in (record | common).items()} for record in self.records]
+        buffer = io.StringIO()
+        writer = csv.DictWriter(buffer, list(rows[0]) if rows else [], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        return buffer.getvalue()
 
     # --- texts ------------------------------------------------------------------------------------------------------
 
@@ -346,9 +341,10 @@ def _with_interval(summary: Summary | None) -> str:
 def _cell(value: Any) -> Any:
     """Return a cell of a CSV file that no spreadsheet runs, after OWASP's "CSV Injection"; numbers stay as they are.
 
-    Some spreadsheets end a cell at a semicolon or a tabulator.
+    A formula begins with =, +, -, @, a tabulator or a carriage return. Some spreadsheets end a cell at a semicolon or a
+    tabulator.
     """
-    return _FORMULA.sub(r"\1'\2", value) if isinstance(value, str) else value
+    return re.sub(r"(^|[,;\t]\s*)([=+\-@\t\r])", r"\1'\2", value) if isinstance(value, str) else value
 
 
 def _reasons(reasons: Mapping[Place, str]) -> list[dict[str, str]]:

@@ -65,11 +65,8 @@ def estimate(scores: Scores, minus: Scores | None = None) -> Summary:
             values = values[np.isfinite(values).any(axis=1)]
             shift = float(np.nanmin(values))  # so that a constant keeps its last bit
             values = values - shift
-            mean, by_seed, by_episode = (
-                float(np.nanmean(values)),
-                np.nanmean(values, axis=1),
-                np.nanmean(values, axis=0),
-            )
+            mean = float(np.nanmean(values))
+            by_seed, by_episode = (np.nanmean(values, axis=axis) for axis in (1, 0))
             means.append(by_seed)
             contrast += sign * by_episode
             middle += sign * (shift + mean)

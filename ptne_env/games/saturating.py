@@ -96,7 +96,6 @@ class SaturatingGame(AffineGame):
 
     def best_response(self, strategies: FloatArray) -> FloatArray:
         """The minimisers, by Newton's method to 1e-12: (n, B) to (n, B)."""
-        batch = strategies.shape[1]
         same = (self.owners[:, None] == self.owners)[:, :, None]
 
         def profiles(response: FloatArray) -> FloatArray:
@@ -112,8 +111,8 @@ class SaturatingGame(AffineGame):
             players = [self.jacobian(at[:, player]) for player in range(self.num_players)]
             return np.where(same, np.stack(players)[self.owners, np.arange(self.dimension)], 0.0)
 
-        low, high = (np.full((self.dimension, batch), bound) for bound in (-np.inf, np.inf))
-        return solve_box(field, slopes, low, high, strategies)
+        free = np.full((self.dimension, 1), np.inf)
+        return solve_box(field, slopes, -free, free, strategies)
 
     def _solve_nash_equilibria(self) -> FloatArray:
         return self.equilibria

@@ -68,24 +68,16 @@ def solve_box(field: Field, jacobian: Field, low: FloatArray, high: FloatArray, 
 def _newton(
     field: Field, jacobian: Field, x: FloatArray, value: FloatArray, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return Newton's next point in the box and its residual, NaN where there is none."""
-    trial = np.clip(_active_set_step(x, value, jacobian(x), low, high), low, high)
-    return trial, _norm(natural_map(trial, field(trial), low, high))
-
-
-def _active_set_step(
-    x: FloatArray, value: FloatArray, slopes: FloatArray, low: FloatArray, high: FloatArray
-) -> FloatArray:
-    """Return Newton's next point, NaN where its system is singular."""
+    """Return the point of the active-set step, in the box, and its residual; NaN where its system is singular."""
     below, above = x - value <= low, x - value >= high
-    held = below | above
-    matrices = np.where(held[:, None], np.eye(len(x))[:, :, None], slopes)
+    matrices = np.where((below | above)[:, None], np.eye(len(x))[:, :, None], jacobian(x))
     wanted = np.where(below, low - x, np.where(above, high - x, -value))
     stack, right = np.moveaxis(matrices, 2, 0).copy(), wanted.T[..., None].copy()
     with np.errstate(invalid="ignore"):
         singular = ~(np.abs(np.linalg.slogdet(stack)[0]) > 0)  # also where dF does not exist
     stack[singular], right[singular] = np.eye(len(x)), np.nan
-    return x + np.linalg.solve(stack, right)[..., 0].T
+    trial = np.clip(x + np.linalg.solve(stack, right)[..., 0].T, low, high)
+    return trial, _norm(natural_map(trial, field(trial), low, high))
 
 
 def _norm(vectors: FloatArray) -> FloatArray:

@@ -140,17 +140,8 @@ def initial_memory(weights: Weights, layout: ObservationLayout, players: int, xp
     n, slots = layout.dimension, layout.slots
     hidden, slot_hidden = weights["again"].shape[-1], weights["slot_again"].shape[-1]
     sizes: dict[str, tuple[int, ...]] = {"hidden": (hidden, n), "slot_hidden": (slot_hidden, slots, n)}
-    sizes |= {
-        "gradient": (n,),
-        "relative": (slots, n),
-        "heard": (slots,),
-        "moved": (n,),
-        "strategy": (n,),
-        "held": (n,),
-        "largest": (2,),
-        "log_scale": (),
-        "started": (),
-    }
+    sizes |= {"relative": (slots, n), "heard": (slots,), "largest": (2,), "log_scale": (), "started": ()}
+    sizes |= dict.fromkeys(("gradient", "moved", "strategy", "held"), (n,))
     return {name: xp.zeros((*size, players), dtype=np.float32) for name, size in sizes.items()}
 
 

@@ -18,17 +18,11 @@ from ptne_env.world import dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import World
 
-_PADDING = 16
-"""Unused columns at the end of each row of a workspace, in batches of more environments than this."""
-
 _NO_SCALE = np.ones((1, 1))
 _NO_STATE: Any = None
 
 _DIFFERENCES = "own_gradient", "relative_estimates"
 """Fields that are written in one pass under ``scaled``, where they are neighbours."""
-
-_WORKSPACES = 2
-"""Observation workspaces of an encoder, one per batch size: a vector environment has blocks of two sizes."""
 
 
 class NonFiniteActionError(ValueError):
@@ -274,9 +268,9 @@ class Encoder:
     def _prepare(self, batch: int) -> _Workspace:
         """The workspace of a batch size. Parts that never change are written here."""
         players, size = self.layout.num_players, self.layout.size
-        # Transposing rows whose length is a power of two uses the same few cache lines again and again; unused columns
-        # avoid that.
-        row = batch + _PADDING if batch > _PADDING else batch
+        # Transposing rows whose length is a power of two uses the same few cache lines again and again; 16 unused
+        # columns avoid that.
+        row = batch + 16 if batch > 16 else batch
         buffer = np.zeros((players, size, row), dtype=np.float32)
         columns = buffer.transpose(1, 0, 2)[:, :, :batch]
         own, n = len(self._gradient_rows), self.layout.dimension
@@ -292,7 +286,7 @@ class Encoder:
                 workspace.tables.append((columns[where], content))
             else:
                 columns[where] = content
-        while len(self._workspaces) >= _WORKSPACES:
+        while len(self._workspaces) > 1:  # one per batch size: a vector environment has blocks of two sizes
             self._workspaces.pop(next(iter(self._workspaces)))
         self._workspaces[batch] = workspace
         return workspace

@@ -64,7 +64,7 @@ class Field:
 
 
 # fmt: off
-_ENTRIES = (
+FIELDS: dict[str, Field] = {field.name: field for field in (
     Field("own_gradient", "m", attrgetter("own_gradients"),
           r"$\partial J_i/\partial x_i$ at the player's own estimate, padded with 0 to the largest $n_i$",
           _differences, _ALL),
@@ -90,8 +90,6 @@ _ENTRIES = (
           lambda _: (0.0, 1.0), _ALL, follows_state=lambda _: False),
     Field("relative_equilibrium", "n", lambda view: view.state.game.nash_equilibria[:, None] - view.state.estimates,
           r"$x^\ast - x^i$", _natural, ("full",), is_privileged=True),
-)
+)}
 # fmt: on
-
-FIELDS: dict[str, Field] = {field.name: field for field in _ENTRIES}
 """All fields by name, in the order of observations."""
