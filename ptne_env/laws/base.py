@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import cached_property
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ptne_env.perception.observation import Interface, LayoutError, Observation, ObservationLayout
 from ptne_env.perception.policy import RowPolicy, pair
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, is_numpy
-
-Record = TypeVar("Record", bound=tuple[Any, ...])
 
 
 class Law(RowPolicy):
@@ -134,19 +132,6 @@ class RecordLaw(Law):
             return part
 
         return take(self.start)
-
-
-def select_rows(mask: BoolArray, fresh: Record, old: Record) -> Record:
-    """Return the rows of ``fresh`` in a mask (R, 1) and the rows of ``old`` elsewhere, array by array."""
-    if mask.all():
-        return fresh
-
-    def select(new: Any, before: Any) -> Any:
-        if isinstance(new, tuple):
-            return select_rows(mask, new, before)
-        return np.where(mask.reshape(-1, *(1,) * (new.ndim - 1)), new, before)
-
-    return _like(fresh, map(select, fresh, old))
 
 
 def _arrays(record: tuple[Any, ...]) -> list[Any]:
