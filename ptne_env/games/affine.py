@@ -202,7 +202,7 @@ class RandomAffine(GameFamily):
         epsilon: ε ≥ 0, and above 0 where the asymmetry is 0.
         asymmetry: a ≥ 0.
         spread: ≥ 0; dF + dFᵀ has eigenvalues in [2ε, 2(ε + spread)].
-        scale: half-width of the box of equilibria, above 0.
+        scale: half-width of the box of equilibria, ≥ 0; 0 puts them all at 0.
         action_dim: n_i, one number for all or one per player.
         low: smallest strategy of all players; ``None`` for no bound. In a box x* solves the variational inequality.
         high: largest strategy.
@@ -215,7 +215,7 @@ class RandomAffine(GameFamily):
     epsilon: float = checked(require_non_negative, default=1.0)
     asymmetry: float = checked(require_non_negative, default=1.0)
     spread: float = checked(require_non_negative, default=2.0)
-    scale: float = checked(require_positive, default=10.0)
+    scale: float = checked(require_non_negative, default=10.0)
     action_dim: int | Sequence[int] = 1
     low: float | None = None
     high: float | None = None

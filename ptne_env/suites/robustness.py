@@ -1,197 +1,304 @@
 """The suite robustness: random worlds unlike those of the catalogue, on which a good policy is never bad.
 
-Every number of a world is drawn as in a Latin hypercube: each of 40 equal parts of its range holds one world. So every
+Every number of a world is drawn as in a Latin hypercube: each of 100 equal parts of its range holds one world. So every
 seed has the same shares of large games, switching graphs, lossy channels and so on, in other combinations.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.evaluation.tracks import Track
+from ptne_env.shared.arrays import FloatArray, ordered_sum
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.suites.suite import Suite
+from ptne_env.world.graphs import Graph
 from ptne_env.world.scenario import Scenario
 
-WORLDS = 40
+WORLDS = 100
 
-EPISODES = 8
-"""Number of episodes of a world; large games, which take most of the time, have half as many."""
+EPISODES = 6
+"""Number of episodes of a world; large games, which take most of the time, have fewer."""
 
-DRAWS = (
-    *("clean", "players", "components", "steps", "deadline", "pace", "end"),  # the clock and the size
-    *("game", "stiffness", "ratio", "asymmetry", "bend", "box", "size", "near", "start"),  # the game
-    *("graph", "links", "modes", "dwell", "pool"),  # the graph
-    *("bias", "noise", "tails", "late", "onset", "rounding", "loss", "burst", "delay", "range"),  # the channel
-)
-"""Names of the numbers that are drawn per world, each uniform in (0, 1)."""
+# fmt: off
+KINDS = {
+    "start": {"around 0": 88, "at 0": 5, "at x*": 7},
+    "graph": {"random": 20, "ring": 12, "path": 10, "tree": 8, "star": 10, "episode": 12, "physical": 10,
+              "transformed": 10, "links": 8},
+    "game": {"energy": 20, "affine": 20, "box": 8, "saturating": 14, "rotation": 14, "complements": 12,
+             "rank-deficient": 12},
+}
+"""The kinds of starts, graphs and games, with their numbers of worlds."""
+
+MOST_PLAYERS = {"complements": 30, "rank-deficient": 30, "saturating": 20, "star": 40, "episode": 20}
+"""Of kinds whose worlds are slow, or long to write down, with 100 players."""
+
+NUMBERS = {
+    "deadline": (1, 0.1, 10), "steps": (1, 50, 1200), "pace": (1, 0.5, 1.6), "end": (1, 5, 7),  # the clock
+    "players": (1, 2.6, 10), "crowd": (0.15, 10, 101), "components": (0.3, 2, 4),  # a crowd has more players
+    "size": (1, 0.3, 30), "extreme": (0.3, 1e-6, 1e3), "null": (0.06, 1, 1),  # of x*; null: x* = 0
+    "stiffness": (1, 0.3, 3), "ratio": (1, 2, 200), "asymmetry": (1, 0.03, 1), "bend": (1, 1, 20),
+    "pull": (1, 0.03, 0.3), "turn": (1, 1, 30),  # ε and the asymmetry of games that rotate
+    "gap": (1, 0.01, 0.3), "rank": (1, 1, 3),  # of complements from instability; of couplings
+    "reach": (1, 0.01, 100), "far": (0.25, 1e-12, 1e6), "push": (0.3, 3, 100),  # of starts and inputs
+    "links": (1, 0.05, 1), "modes": (1, 2, 5), "rounds": (1, 3, 50), "uneven": (0.5, 2, 10),  # the graph
+    "faulty": (0.75, 1, 1), "range": (0.5, 3, 5),  # the channel, with errors relative to the size
+    "bias": (0.2, 0.001, 0.03), "noise": (0.35, 0.0001, 0.3), "tails": (0.15, 0.0003, 0.01),
+    "late": (0.15, 0.0003, 0.03), "onset": (1, 0.2, 0.8), "rounding": (0.25, 0.001, 0.1),
+    "liars": (0.12, 1, 3), "lie": (1, 0.3, 10),
+    "loss": (0.3, 0.05, 0.8), "burst": (0.3, 3, 30), "delay": (0.3, 2, 21),
+}
+"""The share of worlds in which a number is not 0, its smallest and its largest value there, on a logarithmic scale."""
+# fmt: on
+
+ERRORS = ("bias", "noise", "tails", "late", "rounding", "liars")
+"""The numbers that make messages wrong; loss and delay only make them late."""
+
+Numbers: TypeAlias = "dict[str, float]"
 
 part = FactorySpec.of
 
 
+class DrawnGame(NamedTuple):
+    """A game or family, its largest curvature, its number of components, its description, and x* where it is known."""
+
+    spec: FactorySpec
+    largest: float
+    dimension: int
+    description: str
+    equilibrium: FloatArray | None = None
+
+
 def robustness(seed: int = 1) -> Suite:
-    """Return the suite of the 40 random worlds of a seed; that of seed 1 is published."""
+    """Return the suite of the 100 random worlds of a seed; laws may be tuned on those of seed 1 alone."""
     generator = np.random.default_rng(seed)
-    parts = {name: generator.permutation(WORLDS) + generator.random(WORLDS) for name in DRAWS}
+    places = {name: generator.permutation(WORLDS) + generator.random(WORLDS) for name in (*KINDS, *NUMBERS)}
     tracks = []
     for world in range(WORLDS):
-        drawn = {name: float(column[world]) / WORLDS for name, column in parts.items()}
-        tracks.append(_track(f"world-{world + 1:02}", drawn, np.random.default_rng((seed, world))))
+        kinds = {name: _kind(places[name][world], shares) for name, shares in KINDS.items()}
+        numbers = {name: _number(places[name][world], *limits) for name, limits in NUMBERS.items()}
+        tracks.append(_track(f"world-{world + 1:03}", kinds, numbers, np.random.default_rng((seed, world))))
     return Suite("robustness" if seed == 1 else f"robustness-{seed}", tuple(tracks), EPISODES)
 
 
-def _scale_log(unit: float, low: float, high: float) -> float:
-    """Return the number at ``unit``, in (0, 1), of a logarithmic scale from low to high, with three digits."""
-    return float(f"{low * (high / low) ** unit:.3g}")
+def _kind(place: float, shares: dict[str, int]) -> str:
+    """Return the kind at a place in (0, 100)."""
+    return [kind for kind, worlds in shares.items() for _ in range(worlds)][int(place)]
 
 
-def _maybe(unit: float, share: float, low: float, high: float) -> float:
-    """Return a number from low to high in a ``share`` of the worlds, and 0 in the others."""
-    return _scale_log(unit / share, low, high) if unit < share else 0.0
+def _number(place: float, share: float, low: float, high: float) -> float:
+    """Return the number at a place in (0, 100): 0 in the worlds that have none."""
+    unit = place / WORLDS / share
+    return _rounded(low * (high / low) ** unit) if unit < 1 else 0.0
 
 
-def _track(name: str, drawn: dict[str, float], generator: np.random.Generator) -> Track:
-    """Return the world of some draws; the generator draws only links."""
-    players = int(np.interp(drawn["players"], (0.0, 0.1, 0.8, 0.9, 1.0), (2, 3, 9, 20, 41)))
-    game, largest, size, told = _game(players, drawn)
-    links = _links(players, drawn["links"], generator)
-    kind = ("fixed", "fixed", "episode", "physical", "transformed")[int(drawn["graph"] * 5)] if players > 2 else "fixed"
-    probability = round(min(1.0, 1.5 * math.log(players + 1) / players), 2)
-    degree = (players - 1) * probability if kind == "episode" else 2 * len(links) / players
+def _rounded(number: float) -> float:
+    """Return a number with three digits."""
+    return float(f"{number:.3g}")
+
+
+def _track(name: str, kinds: dict[str, str], numbers: Numbers, generator: np.random.Generator) -> Track:
+    """Return the world of some kinds and numbers; the generator draws links and single games."""
+    if kinds["start"] == "at x*" and kinds["game"] != "complements":  # others draw x* anew in every episode
+        kinds["game"] = "rank-deficient"
+    players = min(
+        int(numbers["crowd"] or numbers["players"]), *(MOST_PLAYERS.get(kind, 100) for kind in kinds.values())
+    )
+    graph = kinds["graph"] if players > 2 else "path"
+    # A tree has no way round a liar. Where all start at x*, errors would reward those that stand still.
+    absent = [*ERRORS * (kinds["start"] == "at x*"), *["liars"] * (graph in ("path", "tree", "star"))]
+    numbers |= dict.fromkeys(absent if numbers["faulty"] else [*ERRORS, "loss", "delay"], 0.0)
+    numbers["size"] = size = numbers["extreme"] or numbers["size"]
+    numbers["scale"] = scale = size if kinds["game"] == "energy" or not numbers["null"] else 0.0
+    game = GAMES[kinds["game"]](players, numbers, generator)
+    links = _links(graph, players, numbers, generator)
+    pool = links.build()
+    densest = pool if isinstance(pool, Graph) else max(pool.graphs, key=lambda graph: graph.largest_degree)
     # The paper's law with κ = 2 is stable up to Θ = 2/(ι + 2 λ_max(L)), about; the steps are 0.25 to 0.8 of that.
-    step = _scale_log(drawn["pace"], 0.5, 1.6) / (largest + 2 * min(players, degree + 3))
-    wanted = _scale_log(drawn["steps"], 50, 2000)
-    end = 5 + 2 * drawn["end"]
-    steps = round(max(min(wanted, 6_000 / players), 1.2 * end / step))
-    deadline = _scale_log(drawn["deadline"], 0.1, 10)
-    gain = float(f"{max(steps * step - end, 0.2 * end) / deadline:.3g}")
-    topology, change = _topology(kind, players, links, probability, drawn, (deadline, gain, end, steps))
-    factor = _scale_log(drawn["start"], 0.01, 100)
-    reach = float(f"{min(size * factor, 1000.0):.3g}")
-    stages, troubles = _channel(size, steps, drawn)
-    limit = float(f"{(3 + 2 * drawn['range']) * max(size, reach):.3g}") if drawn["range"] < 0.5 else None
+    step = numbers["pace"] / (game.largest + 2 * float(np.linalg.eigvalsh(densest.laplacian)[-1]))
+    diameter = float(shortest_path(densest.adjacency, unweighted=True).max())
+    wanted = max(min(numbers["steps"], 6_000 / players), 1.5 * diameter, 4 * numbers["delay"])
+    numbers["steps"] = steps = round(max(wanted, 1.2 * numbers["end"] / step))
+    numbers["gain"] = _rounded(max(steps * step - numbers["end"], 0.2 * numbers["end"]) / numbers["deadline"])
+    topology, change = _topology(graph, links, densest, numbers, generator)
+    # Estimates and gradients beyond 5e5 would count as diverged.
+    reach = _rounded(min(size * (numbers["far"] or numbers["reach"]), 5e4 / game.largest / math.sqrt(players)))
+    start, starts = part("start:uniform", low=-reach, high=reach), f"within ±{reach:g}"
+    if kinds["start"] != "around 0":
+        reach, starts = 0.0, kinds["start"]
+        at = np.zeros(game.dimension) if game.equilibrium is None or starts == "at 0" else game.equilibrium
+        start = part("start:fixed", estimates=np.tile(at, (players, 1)))
+    natural = game.largest * max(size, reach)
+    push = numbers["push"] * natural or max(1000.0, 10 * natural)
+    # Where games rotate, the paper's law may be unstable, and should not diverge.
+    push = _rounded(min(1000.0, natural) if kinds["game"] == "rotation" else push)
+    stages, troubles = _channel(numbers)
+    limit = _rounded(numbers["range"] * max(size, reach)) or None
     scenario = Scenario(
         name=name,
-        game=game,
+        game=game.spec,
         topology=topology,
-        start=part("start:uniform", low=-reach, high=reach),
-        deadline=deadline,
-        gain=gain,
+        start=start,
+        deadline=numbers["deadline"],
+        gain=numbers["gain"],
         steps=steps,
-        s_end=round(end, 2),
+        s_end=numbers["end"],
+        input_limit=push,
         channel=part("channel:chain", stages=stages),
         message_range=limit,
     )
-    if limit is not None:
-        troubles.append(f"range {limit:g}")
+    troubles += [] if limit is None else [f"range {limit:g}"]
     sentence = (
-        f"{players} players, {told}; {change}; T = {deadline:g}, {steps} steps; starts ±{reach:g}; "
+        f"{players} players, {game.description}, {f'equilibria ±{scale:g}' if scale else 'x* = 0'}; {change}; "
+        f"T = {numbers['deadline']:g}, {steps} steps; starts {starts}; |u| ≤ {push:g}; "
         f"{', '.join(troubles) or 'a perfect channel'}."
     )
-    return Track(name, scenario, sentence, episodes=EPISODES if players <= 12 else EPISODES // 2)
+    return Track(name, scenario, sentence, episodes=EPISODES if players <= 12 else 4 if players <= 40 else 3)
 
 
-def _game(players: int, drawn: dict[str, float]) -> tuple[FactorySpec, float, float, str]:
-    """Return a family of games, its largest curvature, the size of its equilibria or box, and a description."""
-    stiffness, ratio = _scale_log(drawn["stiffness"], 0.3, 3), _scale_log(drawn["ratio"], 2, 200)
-    kind = ("energy", "affine", "affine", "saturating")[int(drawn["game"] * 4)]
-    size = _scale_log(drawn["size"], 0.3, 30)
-    scale = float(f"{size * (_maybe(drawn['near'], 0.15, 0.001, 0.03) or 1.0):.3g}")
-    low = float(f"{stiffness / math.sqrt(ratio):.3g}")
-    near = f", equilibria ±{scale:g}"
-    if kind == "energy":
-        coupling = float(f"{low * players**-0.5:.3g}")
-        arguments = {
-            "curvature": (low, float(f"{low * ratio:.3g}")),
-            "target": (-scale, scale),
-            "coupling": (0.0, coupling),
-            "base_price": 0.0,
-        }
-        largest = 2 * low * ratio + coupling * (1 + players)
-        return part("game:random-energy", players=players, **arguments), largest, size, f"energy, ratio {ratio:g}{near}"
-    dims = 1 if drawn["components"] < 0.7 or players > 8 else 2 + (drawn["components"] > 0.9)
-    bend = _scale_log(drawn["bend"], 1, 20) if kind == "saturating" else 0.0
+def _energy(players: int, numbers: Numbers, _generator: np.random.Generator) -> DrawnGame:
+    """Return a family of energy games."""
+    low = _rounded(numbers["stiffness"] / math.sqrt(numbers["ratio"]))
+    high, coupling = _rounded(low * numbers["ratio"]), _rounded(low * players**-0.5)
+    spec = part(
+        "game:random-energy",
+        players=players,
+        curvature=(low, high),
+        target=(-numbers["scale"], numbers["scale"]),
+        coupling=(0.0, coupling),
+        base_price=0.0,
+    )
+    return DrawnGame(spec, 2 * high + coupling * (1 + players), players, f"energy, ratio {numbers['ratio']:g}")
+
+
+def _affine(players: int, numbers: Numbers, _generator: np.random.Generator, kind: str = "affine") -> DrawnGame:
+    """Return a family of affine games, or one of a kind that is made of them."""
+    stiffness, ratio, bend = numbers["stiffness"], numbers["ratio"], numbers["bend"] * (kind == "saturating")
     ratio = min(ratio, 10.0) if bend else ratio
-    box = drawn["box"] < 0.35 and not bend
-    bounds = {"low": -float(f"{0.7 * scale:.3g}"), "high": float(f"{0.9 * scale:.3g}")} if box else {}
-    affine = part(
+    pull, turn = stiffness / math.sqrt(ratio), stiffness * numbers["asymmetry"]
+    spread, told = pull * (ratio - 1), f"affine{' in a box' * (kind == 'box')}, ratio {ratio:g}"
+    if kind == "rotation":
+        pull, turn, spread = numbers["pull"], numbers["turn"], stiffness
+        told = f"rotating, ε = {pull:g}, asymmetry {turn:g}"
+    components = max(int(numbers["components"]), 1) if players <= 8 else 1
+    spec = part(
         "game:random-affine",
         players=players,
-        epsilon=low,
-        spread=float(f"{low * (ratio - 1):.3g}"),
-        asymmetry=float(f"{stiffness * drawn['asymmetry']:.3g}"),
-        scale=scale,
-        action_dim=dims,
-        **bounds,
+        epsilon=_rounded(pull),
+        spread=_rounded(spread),
+        asymmetry=_rounded(turn),
+        scale=numbers["scale"],
+        action_dim=components,
+        low=_rounded(-0.7 * numbers["size"]) if kind == "box" else None,
+        high=_rounded(0.9 * numbers["size"]) if kind == "box" else None,
     )
-    components = f" of {dims} components" * (dims > 1)
     if bend:
-        saturating = part("game:random-saturating", affine=affine, bend=bend)
-        return saturating, low * ratio + 3 * bend, size, f"saturating{components}, bend {bend:g}{near}"
-    told = f"affine{components}, ratio {ratio:g}{' in a box' * box}{near}"
-    return affine, low * ratio + stiffness * drawn["asymmetry"], size, told
+        spec, told = part("game:random-saturating", affine=spec, bend=bend), f"saturating, bend {bend:g}"
+    told += f", {components} components each" * (components > 1)
+    return DrawnGame(spec, pull + spread + turn + 3 * bend, players * components, told)
 
 
-def _links(players: int, unit: float, generator: np.random.Generator) -> list[tuple[int, int]]:
-    """Return the links of a connected random graph: those of a random tree, and up to as many more."""
+def _complements(players: int, numbers: Numbers, generator: np.random.Generator) -> DrawnGame:
+    """Return a game of strategic complements: A = √d (I − (1 − gap) W) √d with ‖W‖ = 1, W ≥ 0, and curvatures d."""
+    weights = np.tril(generator.random((players, players)), -1)
+    weights += weights.T
+    total = np.sqrt(ordered_sum(weights))
+    roots = np.sqrt(numbers["stiffness"] * min(numbers["ratio"], 10.0) ** generator.uniform(-0.5, 0.5, players))
+    matrix = (np.eye(players) - (1 - numbers["gap"]) * weights / total / total[:, None]) * roots * roots[:, None]
+    return _single(matrix, numbers, generator, f"complements, {numbers['gap']:g} from instability")
+
+
+def _rank_deficient(players: int, numbers: Numbers, generator: np.random.Generator) -> DrawnGame:
+    """Return a game whose players feel one or two weighted sums of some strategies, beside their own curvature."""
+    rank = min(int(numbers["rank"]), players - 1)
+    loads = generator.normal(size=(players, rank)) * (generator.random((players, rank)) < 0.7)
+    curvatures = numbers["stiffness"] * numbers["ratio"] ** generator.uniform(-0.5, 0.5, players)
+    matrix = np.diag(curvatures) + ordered_sum(loads[:, None] * loads, axis=2) * numbers["stiffness"] / players
+    return _single(matrix, numbers, generator, f"coupling of rank {rank}, ratio {numbers['ratio']:g}")
+
+
+def _single(matrix: FloatArray, numbers: Numbers, generator: np.random.Generator, told: str) -> DrawnGame:
+    """Return an affine game that all episodes play."""
+    matrix = matrix.round(6)
+    equilibrium = np.array([_rounded(numbers["scale"] * unit) for unit in generator.uniform(-1, 1, len(matrix))])
+    spec = part("game:quadratic", matrix=matrix, offset=-ordered_sum(matrix * equilibrium, axis=1))
+    return DrawnGame(spec, float(np.linalg.norm(matrix, 2)), len(matrix), told, equilibrium)
+
+
+GAMES: dict[str, Callable[[int, Numbers, np.random.Generator], DrawnGame]] = {
+    "energy": _energy,
+    "affine": _affine,
+    "box": partial(_affine, kind="box"),
+    "rotation": partial(_affine, kind="rotation"),
+    "saturating": partial(_affine, kind="saturating"),
+    "complements": _complements,
+    "rank-deficient": _rank_deficient,
+}
+
+
+def _links(kind: str, players: int, numbers: Numbers, generator: np.random.Generator) -> FactorySpec:
+    """Return a graph: of all links where they switch, and a pool of graphs where episodes draw one."""
+    if kind in ("ring", "path", "star"):
+        return part(f"topology:{kind.replace('ring', 'cycle')}", players=players)
+    if kind == "episode":
+        probability = round(min(1.0, 1.5 * math.log(players + 1) / players), 2)
+        seed = int(generator.integers(1_000_000))
+        return part("topology:random-graphs", players=players, probability=probability, modes=20, seed=seed)
     order = generator.permutation(players).tolist()
     links = {tuple(sorted((order[i], order[int(generator.integers(i))]))) for i in range(1, players)}
-    for _ in range(round(unit * players)):
+    for _ in range(round(numbers["links"] * players) * (kind != "tree")):
         links.add(tuple(sorted(generator.choice(players, 2, replace=False).tolist())))
-    return sorted((int(i), int(j)) for i, j in links)
+    return part("topology:edges", players=players, edges=sorted((int(i), int(j)) for i, j in links))
 
 
 def _topology(
-    kind: str,
-    players: int,
-    links: list[tuple[int, int]],
-    probability: float,
-    drawn: dict[str, float],
-    clock: tuple[float, float, float, int],
+    kind: str, links: FactorySpec, graph: Graph, numbers: Numbers, generator: np.random.Generator
 ) -> tuple[FactorySpec, str]:
     """Return the topology of a kind, and its description; a switching one shares its links out to a few modes."""
-    deadline, gain, end, steps = clock
-    if kind == "fixed":
-        return part("topology:edges", players=players, edges=links), "a fixed graph"
-    if kind == "episode":
-        seed = int(drawn["pool"] * 1e6)
-        pool = part("topology:random-graphs", players=players, probability=probability, modes=20, seed=seed)
-        return pool, "a random graph per episode"
-    modes = 2 + int(drawn["modes"] * 3)
-    graphs = [part("topology:edges", players=players, edges=links[mode::modes]) for mode in range(modes)]
-    # The longest step but the last is at the start on the physical clock, and at the end on the transformed one.
-    step = (end + gain * deadline) / steps
-    shortest, whole = (step / (gain + 1 / deadline), deadline) if kind == "physical" else (step, end)
-    dwell = _scale_log(drawn["dwell"], 2 * shortest, max(whole / (3 * modes), 3 * shortest))
-    if kind == "physical":  # the last step goes on to the deadline, and may be the longest; other dwells stay
-        dwell = max(dwell, float(f"{1.01 * deadline * math.exp(step - end):.3g}"))
-    periodic = part("topology:periodic", graphs=graphs, dwells=[dwell] * modes, clock=kind)
-    return periodic, f"{modes} graphs in turn on the {kind} clock"
+    told = {"random": "a fixed graph", "episode": "a random graph per episode"}
+    if kind not in ("physical", "transformed", "links"):
+        return links, told.get(kind, f"a {kind}")
+    modes, uneven = int(numbers["modes"]), numbers["uneven"] or 1.0
+    deadline, gain, end = numbers["deadline"], numbers["gain"], numbers["end"]
+    longest, whole = (
+        (end + gain * deadline) / numbers["steps"],
+        end,
+    )  # a step, and the episode, on the transformed clock
+    if kind == "physical":  # where the first step or the last, which goes on to the deadline, is the longest
+        last = 0.5 * deadline * math.exp(longest - end)
+        longest, whole = max(longest / (gain + 1 / deadline), last), deadline
+    dwell = _rounded(max(2.02 * longest, whole / modes / numbers["rounds"] / math.sqrt(uneven)))
+    if kind == "links":
+        dwells = (dwell, _rounded(dwell * uneven))
+        random = part("topology:random-edges", graph=links, probability=0.5, dwells=dwells, clock="transformed")
+        return random, f"links up and down at random, dwells {dwells[0]:g} to {dwells[1]:g}"
+    edges = [graph.edges[mode::modes] for mode in range(modes)]
+    graphs = [part("topology:edges", players=graph.num_players, edges=links) for links in edges]
+    each = [_rounded(dwell * uneven**unit) for unit in generator.random(modes)]
+    periodic = part("topology:periodic", graphs=graphs, dwells=each, clock=kind)
+    return periodic, f"{modes} graphs in turn on the {kind} clock, dwells {min(each):g} to {max(each):g}"
 
 
-def _channel(size: float, steps: int, drawn: dict[str, float]) -> tuple[list[FactorySpec], list[str]]:
+def _channel(numbers: Numbers) -> tuple[list[FactorySpec], list[str]]:
     """Return the stages of a channel, with errors relative to the size of the game, and their descriptions."""
-    if drawn["clean"] < 0.2:
-        return [], []
-    bias, noise, tails, late, rounding = (
-        size * _maybe(drawn[name], share, low, high)
-        for name, share, low, high in (
-            ("bias", 0.2, 0.001, 0.03),
-            ("noise", 0.3, 0.0001, 0.03),
-            ("tails", 0.15, 0.0003, 0.01),
-            ("late", 0.15, 0.0003, 0.03),
-            ("rounding", 0.25, 0.001, 0.1),
-        )
+    bias, noise, tails, late, rounding, lie = (
+        _rounded(numbers["size"] * numbers[name]) for name in ("bias", "noise", "tails", "late", "rounding", "lie")
     )
-    onset, longest = round(steps * (0.2 + 0.6 * drawn["onset"])), int(_maybe(drawn["delay"], 0.3, 2, 11))
-    loss = _maybe(drawn["loss"], 0.25, 0.05, 0.6)
-    lost = (f"loss {loss:.2g}", "channel:loss", {"probability": loss})
-    if drawn["burst"] < 0.3:
-        lost = (f"loss {loss:.2g} in bursts", "channel:bursts", {"to_bad": 0.1 * loss / (1 - loss), "to_good": 0.1})
-    candidates = (
+    onset, longest, liars = round(numbers["steps"] * numbers["onset"]), int(numbers["delay"]), int(numbers["liars"])
+    loss, burst = numbers["loss"], numbers["burst"]
+    lost: tuple[str, str, dict[str, float]] = (f"loss {loss:.2g}", "channel:loss", {"probability": loss})
+    if burst:  # which ends with this probability, and begins so often that the share of lost messages is the same
+        end = _rounded(1 / burst)
+        begin = _rounded(min(1.0, end * loss / (1 - loss)))
+        lost = (f"loss {loss:.2g} in bursts", "channel:bursts", {"to_bad": begin, "to_good": end})
+    stages: list[tuple[float, str, str, dict[str, float]]] = [
+        *[(lie, f"liar {lie:.2g}", "channel:liar", {"size": lie})] * liars,
         (bias, f"bias {bias:.2g}", "channel:bias", {"bound": bias}),
         (noise, f"noise {noise:.2g}", "channel:noise", {"std": noise}),
         (tails, f"heavy tails {tails:.2g}", "channel:heavy-tails", {"scale": tails}),
@@ -199,11 +306,6 @@ def _channel(size: float, steps: int, drawn: dict[str, float]) -> tuple[list[Fac
         (rounding, f"rounding {rounding:.2g}", "channel:rounding", {"width": rounding}),
         (loss, *lost),
         (longest, f"delay 0 to {longest}", "channel:delay", {"steps": 0, "longest": longest}),
-    )
-    drawn_stages = [(told, _stage(target, arguments)) for value, told, target, arguments in candidates if value]
-    return [stage for _, stage in drawn_stages], [told for told, _ in drawn_stages]
-
-
-def _stage(target: str, arguments: dict[str, Any]) -> FactorySpec:
-    """Return a stage whose numbers have three digits."""
-    return part(target, **{name: float(f"{v:.3g}") if isinstance(v, float) else v for name, v in arguments.items()})
+    ]
+    present = [(told, part(target, **arguments)) for value, told, target, arguments in stages if value]
+    return [stage for _, stage in present], [told for told, _ in present]
