@@ -1,7 +1,7 @@
 """Play all policies on catalogue, suite and random worlds, and write every published table.
 
-``python -m baselines.publish`` plays them on the catalogue, on ptne-v1, and on the random worlds of two seeds: those of
-seed 1 were seen while laws were designed, those of seed 3 were not.
+``python -m baselines.publish`` plays them on the catalogue, on ptne-v1, and on the random worlds of four seeds: laws
+may be tuned on those of seed 1 alone.
 
 It writes ``results.csv`` beside this file, and from it every table of README, docs and baselines that stands between
 ``<!-- table NAME -->`` and ``<!-- end -->``. Finished jobs are kept in the folder ``--out`` and not run again.
@@ -17,6 +17,7 @@ from statistics import fmean
 from baselines import marl
 from baselines.published import (
     ALL,
+    FAILED,
     MINUS_BEST_LAW,
     MINUS_PAPER,
     RESULTS,
@@ -34,6 +35,7 @@ from ptne_env.evaluation.statistics import Summary
 from ptne_env.execution import Runner, Workers
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites import leaderboard, run_suite
+from ptne_env.suites.robustness import robustness
 from ptne_env.suites.suite import LAW
 
 METRICS = (*SHOWN, "settling_time", "settled_share", "diverged_share")
@@ -77,6 +79,8 @@ def rows_of(results: Results) -> Iterable[Row]:
         if record["metric"] in METRICS and record["mean"] is not None:
             texts = {key: str(value) for key, value in record.items()}
             yield {"suite": results.name, **texts, **interval_of(record)}
+    for track, policy in results.failures:
+        yield {"suite": results.name, "track": track, "policy": policy, "metric": FAILED, "mean": "1"}
     for track in results.tracks:
         yield from differences_of(results, track.name, [track.name])
     board = leaderboard(results)
@@ -90,6 +94,13 @@ def rows_of(results: Results) -> Iterable[Row]:
         yield from differences_of(results, ALL, results.counted_tracks)
 
 
+def rows_of_worlds(results: Results) -> Iterable[Row]:
+    """Those of :func:`rows_of` that tables of random worlds show, without shares that are 0."""
+    shown = ("digits", MINUS_PAPER, "diverged_share", FAILED)
+    rows = [row for row in rows_of(results) if row["metric"] in shown and row["track"] != ALL]
+    return [row for row in rows if (row["metric"], row["mean"]) != ("diverged_share", "0")]
+
+
 def run(out: Path, episodes: int | None, workers: Workers) -> Path:
     """Run everything that is not stored, and write ``results.csv``, with another number of episodes into ``out``."""
 
@@ -100,8 +111,9 @@ def run(out: Path, episodes: int | None, workers: Workers) -> Path:
     compared = evaluate(COMPARED, CATALOGUE, episodes=episodes or 100, run=runner)
     entered = [POLICIES[name] for name in ENTERED]
     suite = run_suite("ptne-v1", entered, episodes=episodes, run=runner)
-    worlds = [run_suite(world, entered, episodes=episodes, run=runner) for world in WORLDS.values()]
-    rows = [row for results in (compared, suite, *worlds) for row in rows_of(results)]
+    worlds = [run_suite(robustness(seed), entered, episodes=episodes, run=runner) for seed in WORLDS.values()]
+    rows = [row for results in (compared, suite) for row in rows_of(results)]
+    rows += [row for results in worlds for row in rows_of_worlds(results)]
     lines = [COLUMNS, *([row.get(key, "") for key in COLUMNS] for row in rows)]
     path = RESULTS if episodes is None else out / RESULTS.name
     write_atomically(path, "".join(f"{','.join(line)}\n" for line in lines))

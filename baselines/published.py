@@ -6,16 +6,17 @@ import csv
 import json
 import re
 from collections.abc import Callable, Iterable, Sequence
-from operator import itemgetter
 from pathlib import Path
 from statistics import fmean
 from typing import get_args
+
+import numpy as np
 
 from ptne_env import CATALOGUE
 from ptne_env.evaluation import ENTERED, POLICIES
 from ptne_env.evaluation.results import SHOWN as SHOWN_METRICS
 from ptne_env.evaluation.results import standing
-from ptne_env.evaluation.statistics import Summary
+from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.fields import FIELDS, InterfaceKind
 from ptne_env.suites.robustness import robustness
@@ -24,8 +25,11 @@ from ptne_env.world.world import World
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "baselines" / "results.csv"
 ALGORITHMS = ROOT / "baselines" / "marl.json"
-WORLDS = {"robustness": robustness(1), "robustness-3": robustness(3)}
-"""The random worlds: seen and fresh."""
+SEEN, *FRESH = WORLDS = {"robustness": 1, "robustness-2": 2, "robustness-3": 3, "robustness-4": 4}
+"""The suites of random worlds, and their seeds: on those of seed 1 laws may be tuned, the others are fresh."""
+
+FAILED = "failed"
+"""The metric that is 1 where a policy raised an error, or answered in another form."""
 
 TRAINED = "recurrent-random-worlds"
 SHOWN = (
@@ -34,7 +38,10 @@ SHOWN = (
 )
 """The policies of the short table of the suite."""
 
-SHOWN_ON_WORLDS = ("static", "grounded", "proximal-best-response", "routed-unknown", "relay")
+SHOWN_ON_WORLDS = ("static", "grounded", "routed-unknown", "relay", TRAINED)
+CODED = ("residual-coder",)
+"""The entries whose messages are not their estimates: no rivals of others."""
+
 SHOWN_ON_SCENARIOS = ("static", "grounded", "routed-unknown", "relay", "ppo-random-energy", "oracle")
 NEAR = 0.5
 """Digits by which a policy may miss the best one and is near."""
@@ -57,10 +64,14 @@ class Published:
     def __init__(self, rows: Sequence[Row]) -> None:
         self.rows = rows
         self._cells = {(row["suite"], row["track"], row["policy"], row["metric"]): row for row in rows}
+        self._names: dict[tuple[str, str], dict[str, None]] = {}
+        for row in rows:
+            for key in ("track", "policy") * (row["track"] != ALL):
+                self._names.setdefault((key, row["suite"]), {})[row[key]] = None
 
     def names(self, key: str, suite: str) -> list[str]:
         """The tracks or policies of a suite, in the order of the file."""
-        return list(dict.fromkeys(row[key] for row in self.rows if row["suite"] == suite and row["track"] != ALL))
+        return list(self._names.get((key, suite), ()))
 
     def cell(self, suite: str, track: str, policy: str, metric: str = "digits") -> Row | None:
         """A number on a track, or over all (:data:`ALL`)."""
@@ -174,44 +185,60 @@ def lies_in(row: Row, *place: str) -> bool:
 
 
 def best_on(numbers: Published, suite: str, world: str) -> tuple[str, float]:
-    """The policy with the most digits on a random world, oracles apart, and its digits."""
+    """The best policy of a random world and its digits, but for oracles, those that code, and standing still."""
     rows = numbers.by_policy(suite, world)
-    return max(((name, float(row["mean"])) for name, row in rows.items() if name != "oracle"), key=itemgetter(1))
+    rivals = [name for name in rows if not (POLICIES[name].is_oracle or name in (*CODED, "zero-input"))]
+    return max(((name, float(rows[name]["mean"])) for name in rivals), key=lambda item: item[1])
 
 
 def fails(numbers: Published, suite: str, world: str, policy: str) -> bool:
-    """Whether the paper's law leads a policy in the same episodes, or the policy diverges more often."""
+    """Whether the paper's law leads a policy in the same episodes, or the policy diverges more often or has failed."""
     difference = summary(numbers.cell(suite, world, policy, MINUS_PAPER))
-    diverged = numbers.by_policy(suite, world, "diverged_share")
     is_worse = difference is not None and difference.high is not None and difference.high < 0
-    return is_worse or float(diverged[policy]["mean"]) > float(diverged["static"]["mean"])
+    diverged = numbers.by_policy(suite, world, "diverged_share")
+    share, paper = (float(diverged[name]["mean"]) if name in diverged else 0.0 for name in (policy, "static"))
+    return is_worse or share > paper or numbers.cell(suite, world, policy, FAILED) is not None
 
 
-def shortfalls(numbers: Published, suite: str) -> str:
-    """How far each policy stays behind the best one of each random world, the least worst shortfall first."""
+def failures(numbers: Published, suites: Iterable[str], policy: str) -> list[tuple[str, str]]:
+    """The suites and names of the random worlds on which a policy fails."""
+    places = [(suite, world) for suite in suites for world in numbers.names("track", suite)]
+    return [place for place in places if fails(numbers, *place, policy)]
+
+
+def shortfalls(numbers: Published, suites: Sequence[str]) -> str:
+    """How far each policy stays behind the best one of each random world, the least mean shortfall first."""
     rows = []
-    for policy in numbers.names("policy", suite):
-        behind, failures = [], 0
+    for policy in dict.fromkeys(name for suite in suites for name in numbers.names("policy", suite)):
+        behind = [
+            best_on(numbers, suite, world)[1] - float(cell["mean"])
+            for suite in suites
+            for world in numbers.names("track", suite)
+            if (cell := numbers.cell(suite, world, policy)) is not None
+        ]
+        if behind and policy != "oracle":
+            near, failed = sum(shortfall <= NEAR for shortfall in behind), len(failures(numbers, suites, policy))
+            mean = estimate([np.array([behind])])
+            interval = with_interval({key: "" if end is None else str(end) for key, end in vars(mean).items()})
+            label = f"{policy} ‡" if policy in CODED else policy
+            cells = [label, str(failed), f"{near} of {len(behind)}", interval, f"{max(behind):.2f}"]
+            rows.append((sum(behind) / len(behind), cells))
+    headings = ["policy", "failures", f"within {NEAR} of the best", "mean shortfall", "worst shortfall"]
+    return markdown(headings, [cells for _, cells in sorted(rows)])
+
+
+def failed_worlds(numbers: Published) -> str:
+    """A row per random world on which one of some policies fails: its description, their digits, and the best."""
+    rows = []
+    for suite, seed in WORLDS.items():
+        sentences = {track.name: track.change for track in robustness(seed).tracks}
         for world in numbers.names("track", suite):
-            cell = numbers.cell(suite, world, policy)
-            if cell is not None and policy != "oracle":
-                behind.append(best_on(numbers, suite, world)[1] - float(cell["mean"]))
-                failures += fails(numbers, suite, world, policy)
-        if behind:
-            near = sum(shortfall <= NEAR for shortfall in behind)
-            mean, worst = sum(behind) / len(behind), max(behind)
-            rows.append((mean, [policy, f"{near} of {len(behind)}", f"{mean:.2f}", f"{worst:.2f}", str(failures)]))
-    headings = ["policy", f"within {NEAR} of the best", "mean shortfall", "worst shortfall", "failures"]
-    return markdown(headings, [row for _, row in sorted(rows)])
-
-
-def worlds(numbers: Published, suite: str) -> str:
-    """A row per random world: its description, the digits of some policies, and the best policy."""
-    rows = []
-    for track in WORLDS[suite].tracks:
-        name, digits = best_on(numbers, suite, track.name)
-        shown = [plain(numbers.cell(suite, track.name, policy)) for policy in SHOWN_ON_WORLDS]
-        rows.append([f"{track.name}: {track.change}", *shown, f"{name} {digits:.2f}"])
+            failing = [policy for policy in SHOWN_ON_WORLDS if fails(numbers, suite, world, policy)]
+            if failing:
+                digits = {policy: plain(numbers.cell(suite, world, policy)) for policy in SHOWN_ON_WORLDS}
+                name, best = best_on(numbers, suite, world)
+                marked = [f"**{text}**" if policy in failing else text for policy, text in digits.items()]
+                rows.append([f"{suite}/{world}: {sentences[world]}", *marked, f"{name} {best:.2f}"])
     return markdown(["world", *SHOWN_ON_WORLDS, "best"], rows)
 
 
@@ -242,10 +269,10 @@ TABLES: dict[str, Callable[[Published], str]] = {
     "ptne-v1": lambda numbers: by_track(numbers, "ptne-v1", SHOWN),
     "ptne-v1-overall": overall,
     "ptne-v1-tracks": lambda numbers: all_policies(numbers, "ptne-v1"),
-    "robustness": lambda numbers: shortfalls(numbers, "robustness"),
-    "robustness-fresh": lambda numbers: shortfalls(numbers, "robustness-3"),
-    "robustness-worlds": lambda numbers: worlds(numbers, "robustness"),
-    "robustness-fresh-worlds": lambda numbers: worlds(numbers, "robustness-3"),
+    "robustness": lambda numbers: shortfalls(numbers, WORLDS),
+    "robustness-seen": lambda numbers: shortfalls(numbers, [SEEN]),
+    "robustness-fresh": lambda numbers: shortfalls(numbers, FRESH),
+    "robustness-failures": failed_worlds,
     "catalogue": lambda numbers: by_track(numbers, "comparison", SHOWN_ON_SCENARIOS),
     "catalogue-all": lambda numbers: all_policies(numbers, "comparison"),
 }

@@ -36,7 +36,7 @@ KINDS = {
 }
 """The kinds of starts, graphs and games, with their numbers of worlds."""
 
-MOST_PLAYERS = {"complements": 30, "rank-deficient": 30, "saturating": 20, "star": 40, "episode": 20}
+MOST_PLAYERS = {"complements": 30, "rank-deficient": 30, "saturating": 20, "star": 30, "episode": 20}
 """Of kinds whose worlds are slow, or long to write down, with 100 players."""
 
 NUMBERS = {
@@ -114,7 +114,8 @@ def _track(name: str, kinds: dict[str, str], numbers: Numbers, generator: np.ran
     # A tree has no way round a liar. Where all start at x*, errors would reward those that stand still.
     absent = [*ERRORS * (kinds["start"] == "at x*"), *["liars"] * (graph in ("path", "tree", "star"))]
     numbers |= dict.fromkeys(absent if numbers["faulty"] else [*ERRORS, "loss", "delay"], 0.0)
-    numbers["size"] = size = numbers["extreme"] or numbers["size"]
+    factor = numbers["far"] or numbers["reach"]
+    numbers["size"] = size = _rounded(min(numbers["extreme"] or numbers["size"], 1000 / factor))
     numbers["scale"] = scale = size if kinds["game"] == "energy" or not numbers["null"] else 0.0
     game = GAMES[kinds["game"]](players, numbers, generator)
     links = _links(graph, players, numbers, generator)
@@ -128,7 +129,7 @@ def _track(name: str, kinds: dict[str, str], numbers: Numbers, generator: np.ran
     numbers["gain"] = _rounded(max(steps * step - numbers["end"], 0.2 * numbers["end"]) / numbers["deadline"])
     topology, change = _topology(graph, links, densest, numbers, generator)
     # Estimates and gradients beyond 5e5 would count as diverged.
-    reach = _rounded(min(size * (numbers["far"] or numbers["reach"]), 5e4 / game.largest / math.sqrt(players)))
+    reach = _rounded(min(size * factor, 5e4 / game.largest / math.sqrt(players)))
     start, starts = part("start:uniform", low=-reach, high=reach), f"within ±{reach:g}"
     if kinds["start"] != "around 0":
         reach, starts = 0.0, kinds["start"]
@@ -265,24 +266,23 @@ def _topology(
     if kind not in ("physical", "transformed", "links"):
         return links, told.get(kind, f"a {kind}")
     modes, uneven = int(numbers["modes"]), numbers["uneven"] or 1.0
-    deadline, gain, end = numbers["deadline"], numbers["gain"], numbers["end"]
-    longest, whole = (
-        (end + gain * deadline) / numbers["steps"],
-        end,
-    )  # a step, and the episode, on the transformed clock
+    deadline, gain, whole = numbers["deadline"], numbers["gain"], numbers["end"]
+    step = (whole + gain * deadline) / numbers["steps"]  # the longest, and the last, on the transformed clock
     if kind == "physical":  # where the first step or the last, which goes on to the deadline, is the longest
-        last = 0.5 * deadline * math.exp(longest - end)
-        longest, whole = max(longest / (gain + 1 / deadline), last), deadline
-    dwell = _rounded(max(2.02 * longest, whole / modes / numbers["rounds"] / math.sqrt(uneven)))
+        step = max(step / (gain + 1 / deadline), 0.5 * deadline * math.exp(step - whole))
+        whole = deadline
+    shortest = _rounded(max(2.02 * step, whole / modes / numbers["rounds"] / math.sqrt(uneven)))
     if kind == "links":
-        dwells = (dwell, _rounded(dwell * uneven))
-        random = part("topology:random-edges", graph=links, probability=0.5, dwells=dwells, clock="transformed")
-        return random, f"links up and down at random, dwells {dwells[0]:g} to {dwells[1]:g}"
-    edges = [graph.edges[mode::modes] for mode in range(modes)]
-    graphs = [part("topology:edges", players=graph.num_players, edges=links) for links in edges]
-    each = [_rounded(dwell * uneven**unit) for unit in generator.random(modes)]
-    periodic = part("topology:periodic", graphs=graphs, dwells=each, clock=kind)
-    return periodic, f"{modes} graphs in turn on the {kind} clock, dwells {min(each):g} to {max(each):g}"
+        dwells = [shortest, _rounded(shortest * uneven)]
+        topology = part("topology:random-edges", graph=links, probability=0.5, dwells=dwells, clock="transformed")
+        change = "links up and down at random"
+    else:
+        shares = [graph.edges[mode::modes] for mode in range(modes)]
+        graphs = [part("topology:edges", players=graph.num_players, edges=edges) for edges in shares]
+        dwells = [_rounded(shortest * uneven**unit) for unit in generator.random(modes)]
+        topology = part("topology:periodic", graphs=graphs, dwells=dwells, clock=kind)
+        change = f"{modes} graphs in turn on the {kind} clock"
+    return topology, f"{change}, dwells {min(dwells):g} to {max(dwells):g}"
 
 
 def _channel(numbers: Numbers) -> tuple[list[FactorySpec], list[str]]:
