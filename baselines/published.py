@@ -207,21 +207,25 @@ def failures(numbers: Published, suites: Iterable[str], policy: str) -> list[tup
 
 
 def shortfalls(numbers: Published, suites: Sequence[str]) -> str:
-    """How far each policy stays behind the best one of each random world, the least mean shortfall first."""
+    """How far each policy stays behind the best one of each random world, the least mean shortfall first.
+
+    Where a policy has failed, it counts as standing still.
+    """
     rows = []
     for policy in dict.fromkeys(name for suite in suites for name in numbers.names("policy", suite)):
         behind = [
             best_on(numbers, suite, world)[1] - float(cell["mean"])
             for suite in suites
             for world in numbers.names("track", suite)
-            if (cell := numbers.cell(suite, world, policy)) is not None
+            for failed in [numbers.cell(suite, world, policy, FAILED)]
+            if (cell := numbers.cell(suite, world, policy if failed is None else "zero-input")) is not None
         ]
         if behind and policy != "oracle":
-            near, failed = sum(shortfall <= NEAR for shortfall in behind), len(failures(numbers, suites, policy))
+            near, count = sum(shortfall <= NEAR for shortfall in behind), len(failures(numbers, suites, policy))
             mean = estimate([np.array([behind])])
             interval = with_interval({key: "" if end is None else str(end) for key, end in vars(mean).items()})
             label = f"{policy} ‡" if policy in CODED else policy
-            cells = [label, str(failed), f"{near} of {len(behind)}", interval, f"{max(behind):.2f}"]
+            cells = [label, str(count), f"{near} of {len(behind)}", interval, f"{max(behind):.2f}"]
             rows.append((sum(behind) / len(behind), cells))
     headings = ["policy", "failures", f"within {NEAR} of the best", "mean shortfall", "worst shortfall"]
     return markdown(headings, [cells for _, cells in sorted(rows)])

@@ -81,15 +81,13 @@ def robustness(seed: int = 1) -> Suite:
     places = {name: generator.permutation(WORLDS) + generator.random(WORLDS) for name in (*KINDS, *NUMBERS)}
     tracks = []
     for world in range(WORLDS):
-        kinds = {name: _kind(places[name][world], shares) for name, shares in KINDS.items()}
+        kinds = {
+            name: str(np.repeat([*worlds], [*worlds.values()])[int(places[name][world])])
+            for name, worlds in KINDS.items()
+        }
         numbers = {name: _number(places[name][world], *limits) for name, limits in NUMBERS.items()}
         tracks.append(_track(f"world-{world + 1:03}", kinds, numbers, np.random.default_rng((seed, world))))
     return Suite("robustness" if seed == 1 else f"robustness-{seed}", tuple(tracks), EPISODES)
-
-
-def _kind(place: float, shares: dict[str, int]) -> str:
-    """Return the kind at a place in (0, 100)."""
-    return [kind for kind, worlds in shares.items() for _ in range(worlds)][int(place)]
 
 
 def _number(place: float, share: float, low: float, high: float) -> float:
@@ -107,9 +105,8 @@ def _track(name: str, kinds: dict[str, str], numbers: Numbers, generator: np.ran
     """Return the world of some kinds and numbers; the generator draws links and single games."""
     if kinds["start"] == "at x*" and kinds["game"] != "complements":  # others draw x* anew in every episode
         kinds["game"] = "rank-deficient"
-    players = min(
-        int(numbers["crowd"] or numbers["players"]), *(MOST_PLAYERS.get(kind, 100) for kind in kinds.values())
-    )
+    most = [MOST_PLAYERS.get(kind, 100) for kind in kinds.values()]
+    players = min(int(numbers["crowd"] or numbers["players"]), *most)
     graph = kinds["graph"] if players > 2 else "path"
     # A tree has no way round a liar. Where all start at x*, errors would reward those that stand still.
     absent = [*ERRORS * (kinds["start"] == "at x*"), *["liars"] * (graph in ("path", "tree", "star"))]
@@ -122,7 +119,8 @@ def _track(name: str, kinds: dict[str, str], numbers: Numbers, generator: np.ran
     pool = links.build()
     densest = pool if isinstance(pool, Graph) else max(pool.graphs, key=lambda graph: graph.largest_degree)
     # The paper's law with κ = 2 is stable up to Θ = 2/(ι + 2 λ_max(L)), about; the steps are 0.25 to 0.8 of that.
-    step = numbers["pace"] / (game.largest + 2 * float(np.linalg.eigvalsh(densest.laplacian)[-1]))
+    pace = numbers["pace"] if players <= 12 else 1.6  # small steps of large games take too long
+    step = pace / (game.largest + 2 * float(np.linalg.eigvalsh(densest.laplacian)[-1]))
     diameter = float(shortest_path(densest.adjacency, unweighted=True).max())
     wanted = max(min(numbers["steps"], 6_000 / players), 1.5 * diameter, 4 * numbers["delay"])
     numbers["steps"] = steps = round(max(wanted, 1.2 * numbers["end"] / step))
@@ -167,14 +165,8 @@ def _energy(players: int, numbers: Numbers, _generator: np.random.Generator) -> 
     """Return a family of energy games."""
     low = _rounded(numbers["stiffness"] / math.sqrt(numbers["ratio"]))
     high, coupling = _rounded(low * numbers["ratio"]), _rounded(low * players**-0.5)
-    spec = part(
-        "game:random-energy",
-        players=players,
-        curvature=(low, high),
-        target=(-numbers["scale"], numbers["scale"]),
-        coupling=(0.0, coupling),
-        base_price=0.0,
-    )
+    arguments = {"curvature": (low, high), "target": (-numbers["scale"], numbers["scale"]), "coupling": (0.0, coupling)}
+    spec = part("game:random-energy", players=players, base_price=0.0, **arguments)
     return DrawnGame(spec, 2 * high + coupling * (1 + players), players, f"energy, ratio {numbers['ratio']:g}")
 
 
@@ -187,18 +179,11 @@ def _affine(players: int, numbers: Numbers, _generator: np.random.Generator, kin
     if kind == "rotation":
         pull, turn, spread = numbers["pull"], numbers["turn"], stiffness
         told = f"rotating, ε = {pull:g}, asymmetry {turn:g}"
+    bounds = {"low": -0.7 * numbers["size"], "high": 0.9 * numbers["size"]} if kind == "box" else {}
+    curvatures = {"epsilon": pull, "spread": spread, "asymmetry": turn}
+    arguments = {name: _rounded(number) for name, number in (curvatures | bounds).items()}
     components = max(int(numbers["components"]), 1) if players <= 8 else 1
-    spec = part(
-        "game:random-affine",
-        players=players,
-        epsilon=_rounded(pull),
-        spread=_rounded(spread),
-        asymmetry=_rounded(turn),
-        scale=numbers["scale"],
-        action_dim=components,
-        low=_rounded(-0.7 * numbers["size"]) if kind == "box" else None,
-        high=_rounded(0.9 * numbers["size"]) if kind == "box" else None,
-    )
+    spec = part("game:random-affine", players=players, scale=numbers["scale"], action_dim=components, **arguments)
     if bend:
         spec, told = part("game:random-saturating", affine=spec, bend=bend), f"saturating, bend {bend:g}"
     told += f", {components} components each" * (components > 1)
@@ -262,9 +247,8 @@ def _topology(
     kind: str, links: FactorySpec, graph: Graph, numbers: Numbers, generator: np.random.Generator
 ) -> tuple[FactorySpec, str]:
     """Return the topology of a kind, and its description; a switching one shares its links out to a few modes."""
-    told = {"random": "a fixed graph", "episode": "a random graph per episode"}
     if kind not in ("physical", "transformed", "links"):
-        return links, told.get(kind, f"a {kind}")
+        return links, {"random": "a fixed graph", "episode": "a random graph per episode"}.get(kind, f"a {kind}")
     modes, uneven = int(numbers["modes"]), numbers["uneven"] or 1.0
     deadline, gain, whole = numbers["deadline"], numbers["gain"], numbers["end"]
     step = (whole + gain * deadline) / numbers["steps"]  # the longest, and the last, on the transformed clock
@@ -293,8 +277,8 @@ def _channel(numbers: Numbers) -> tuple[list[FactorySpec], list[str]]:
     onset, longest, liars = round(numbers["steps"] * numbers["onset"]), int(numbers["delay"]), int(numbers["liars"])
     loss, burst = numbers["loss"], numbers["burst"]
     lost: tuple[str, str, dict[str, float]] = (f"loss {loss:.2g}", "channel:loss", {"probability": loss})
-    if burst:  # which ends with this probability, and begins so often that the share of lost messages is the same
-        end = _rounded(1 / burst)
+    if burst and loss:  # a burst ends and begins with such probabilities that the same share of messages is lost
+        end = _rounded(min(1 / burst, (1 - loss) / loss))
         begin = _rounded(min(1.0, end * loss / (1 - loss)))
         lost = (f"loss {loss:.2g} in bursts", "channel:bursts", {"to_bad": begin, "to_good": end})
     stages: list[tuple[float, str, str, dict[str, float]]] = [
