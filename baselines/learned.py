@@ -24,7 +24,7 @@ from ptne_env import PolicySpec, evaluate, get_scenario, learn, parallel_env
 from ptne_env.evaluation import Results, get_policy_spec
 from ptne_env.evaluation.tracks import Teammates, Track
 from ptne_env.execution import Runner, Workers
-from ptne_env.learn import recurrent
+from ptne_env.learn import npz_policy, recurrent
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.shared.random_streams import RandomStreams
@@ -184,7 +184,7 @@ FIRST, SECOND, ALL = GENERALIST = "random-worlds-first", "random-worlds-second",
 """The recipes of the three stages of the generalist, of which each goes on from seed 0 of the one before."""
 
 DEFAULTS = "defaults"
-"""That of ``ptne train --through-world``, with all defaults."""
+"""That of ``ptne train --algorithm through-world``, with all defaults."""
 
 SHARED = {"hidden": 48, "slot_hidden": 24, "knows_costs": False, "cells": 100}
 """Settings of these stages."""
@@ -248,14 +248,14 @@ def ship(name: str, folders: list[Path]) -> None:
     best = max(runs, key=lambda run: float(run.training["digits"]))
     start = Path(best.training["start"]).parent.parent.name  # the recipe, on every machine
     shipped = Path(learn.__file__).parent / f"recurrent-{name}.npz"
-    write_atomically(shipped, recurrent.seal(best.weights, best.training | {"start": start}))
+    write_atomically(shipped, npz_policy.seal(best.weights, best.training | {"start": start}))
 
 
 def untrained(out: Path, seeds: int = 20) -> PolicySpec:
     """Networks with random weights."""
     for seed in range(seeds):
         weights = recurrent.initial_weights(np.random.default_rng(seed))
-        write_atomically(out / "untrained" / f"seed-{seed}.npz", recurrent.seal(weights, {"seed": seed}))
+        write_atomically(out / "untrained" / f"seed-{seed}.npz", npz_policy.seal(weights, {"seed": seed}))
     return get_policy_spec(f"untrained={out}/untrained/seed-*.npz")
 
 

@@ -1,4 +1,4 @@
-"""``ptne train``: train a policy with PPO, or through the world."""
+"""``ptne train``: train a policy with PPO on JAX, with that of Stable-Baselines3, or through the world."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
+import numpy as np
 import typer
 
 from ptne_env import training
@@ -17,6 +18,7 @@ from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, progress, say, write_json
 from ptne_env.evaluation import METRICS
+from ptne_env.shared.names import unknown_name
 from ptne_env.suites import find_scenario
 from ptne_env.suites.suite import LAW
 
@@ -25,6 +27,14 @@ if TYPE_CHECKING:
     from ptne_env.training.through_world import Settings
 
     Run: TypeAlias = Configuration | Settings
+
+
+_TRAINERS = {
+    **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), ("jax_ppo", "jax")),
+    "sb3-ppo": ("ppo", "sb3"),
+    "through-world": ("through_world", "jax"),
+}
+"""The module of each algorithm, and the extra that it needs."""
 
 
 @app.command(cls=Command)
@@ -37,7 +47,18 @@ def train(
             autocompletion=training.configurations,
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the policy, the learning curve and checkpoints.")],
+    algorithm: Annotated[
+        str | None,
+        typer.Option(
+            help="ippo (independent PPO), ippo-rnn (with a recurrent unit), mappo-rnn (its critic sees the state), "
+            "sb3-ppo (that of Stable-Baselines3), or through-world (a recurrent policy by gradients through the world; "
+            "CONFIGURATION is a scenario or track). That of the configuration, or ippo, if left out.",
+            autocompletion=lambda: list(_TRAINERS),
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the policy, the learning curve and checkpoints.")] = Path(
+        "trained"
+    ),
     seed: Annotated[
         int | None,
         typer.Option(
@@ -56,42 +77,35 @@ def train(
         int | None,
         typer.Option(
             min=1,
-            help="Number of agent-steps, or of updates of the weights with --through-world; the configuration's own "
-            "if left out.",
+            help="Number of agent-steps, or of updates of the weights through the world; the configuration's own if "
+            "left out.",
         ),
     ] = None,
     json: options.JsonOption = None,
     *,
-    through_world: Annotated[
-        bool,
-        typer.Option(
-            "--through-world",
-            help="Train a recurrent policy by gradients through the world on JAX instead of PPO; CONFIGURATION is a "
-            "scenario or track.",
-        ),
-    ] = False,
     trust: options.TrustOption = False,
 ) -> None:
-    """Train a policy with PPO and export it as policy.onnx, or through the world, as policy.npz.
+    """Train a policy and export it as policy.npz, or as policy.onnx with sb3-ppo.
 
-    Draws the learning curve, learning-curve.png, beside the digits of the paper's law and of the best law, and prints
-    the command that compares the policy.
+    Says how many digits the last fifth of the training gained, draws the learning curve, learning-curve.png, beside the
+    digits of the paper's law and of the best law, and prints the command that compares the policy.
 
-    The same command resumes an interrupted run from its last checkpoint. Its policy differs from that of an
-    uninterrupted run.
+    The same command resumes an interrupted run from its last checkpoint. With sb3-ppo and through the world, its policy
+    differs from that of an uninterrupted run.
     """
-    extra = "jax" if through_world else "sb3"
-    try:
-        from ptne_env.training.configuration import Configuration, read_finished_run
-        from ptne_env.training.curve import draw, evaluate_laws
+    from ptne_env.training.configuration import Configuration, read_finished_run
+    from ptne_env.training.curve import draw, evaluate_laws
 
-        trainer = import_module(f"ptne_env.training.{'through_world' if through_world else 'ppo'}")
-    except ImportError as error:
-        raise ImportError(f'training needs an extra: pip install "ptne-env[{extra}]"') from error
-
-    values = {"seed": seed, "updates" if through_world else "steps": steps}
+    if algorithm is not None and algorithm not in _TRAINERS:
+        raise ValueError(unknown_name("algorithm", algorithm, _TRAINERS))
+    values = {"seed": seed, "updates" if algorithm == "through-world" else "steps": steps}
     changes: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
-    first: Run = (trainer.Settings if through_world else Configuration.from_toml)(configuration, **changes)
+    if algorithm == "through-world":
+        trainer = _import_trainer(algorithm)
+        first: Run = trainer.Settings(configuration, **changes)
+    else:
+        first = Configuration.from_toml(configuration, **changes, **({"algorithm": algorithm} if algorithm else {}))
+        trainer = _import_trainer(first.algorithm)
     options.require_trust(options.foreign_names(first.scenario), trust=trust)
     runs = {out: first}
     if seeds is not None:
@@ -104,7 +118,7 @@ def train(
     objects = [asdict(summary) for summary in summaries.values()]
     write_json(json, objects[0] if seeds is None else objects)
     for folder, summary in summaries.items():
-        _say_result(folder / trainer.POLICY, summary, was_finished=folder in ended)
+        _say_result(folder / trainer.POLICY, summary, trainer, was_finished=folder in ended)
     digits = [summary.digits for summary in summaries.values()]
     if seeds is not None:
         say(f"Mean of {seeds} seeds: {sum(digits) / seeds:.2f} digits, from {min(digits):.2f} to {max(digits):.2f}")
@@ -125,6 +139,14 @@ def train(
     say(f"To compare:  ptne compare {first.scenario} --policy {shlex.quote(f'static,{trained}')}")
 
 
+def _import_trainer(algorithm: str) -> ModuleType:
+    module, extra = _TRAINERS[algorithm]
+    try:
+        return import_module(f"ptne_env.training.{module}")
+    except ImportError as error:
+        raise ImportError(f'training needs an extra: pip install "ptne-env[{extra}]"') from error
+
+
 def _train(runs: Mapping[Path, Run], trainer: ModuleType) -> dict[Path, RunSummary]:
     """Train one run after the other, with a progress bar for all of them, and return their summaries."""
     summaries: dict[Path, RunSummary] = {}
@@ -140,14 +162,21 @@ def _train(runs: Mapping[Path, Run], trainer: ModuleType) -> dict[Path, RunSumma
     return summaries
 
 
-def _say_result(policy: Path, summary: RunSummary, *, was_finished: bool) -> None:
-    digits = f"{summary.digits:.2f} digits on the {'validation' if policy.suffix == '.onnx' else 'last'} episodes"
+def _say_result(policy: Path, summary: RunSummary, trainer: ModuleType, *, was_finished: bool) -> None:
+    through_world = trainer.__name__.endswith("through_world")
+    digits = f"{summary.digits:.2f} digits on the {'last' if through_world else 'validation'} episodes"
     if was_finished:
         say(f"This run has ended before, with {digits}; {policy.name} is in {policy.parent}")
         return
+    from ptne_env.training.curve import FLAT, read_learning_curve
+
+    steps, curve = read_learning_curve(policy.parent)
+    gained = curve[-1] - np.interp(0.8 * steps[-1], steps, curve)
+    flat = "" if gained < FLAT else ": more --steps gain more"
     say(f"{digits}, after {summary.seconds:.0f} s; {policy.name} written to {policy.parent}")
-    if summary.resumed_at:
-        unit = "agent-steps" if policy.suffix == ".onnx" else "updates"
+    say(f"The last fifth of the training gained {gained:.2f} digits{flat}")
+    if summary.resumed_at and not trainer.RESUMES_EXACTLY:
+        unit = "updates" if through_world else "agent-steps"
         say(
             f"The run was resumed at {summary.resumed_at} {unit}: the policy is not that of an uninterrupted run, "
             "which can be repeated"

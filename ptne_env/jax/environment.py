@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ptne_env.evaluation.episodes import episode_seed
 from ptne_env.jax.records import columns, game_sampler, uniforms
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.fields import InterfaceKind
@@ -41,6 +42,7 @@ class JaxWorld:
         dtype: of observations. With float64 digits are differentiated to full precision; players see float32.
         pool: number of games, schedules of graphs and starts that numpy draws beforehand, where JAX cannot; a reset
             chooses among them.
+        seed: draws them: trainings of different seeds share none.
         **changes: fields of the scenario to change.
 
     Attributes:
@@ -60,6 +62,7 @@ class JaxWorld:
         interface: InterfaceKind | Interface = "scaled",
         dtype: Any = jnp.float32,
         pool: int = 4096,
+        seed: int = 0,
         **changes: Any,
     ) -> None:
         require_x64()
@@ -73,12 +76,12 @@ class JaxWorld:
         self._world.clock = copy.copy(self._world.clock)
         for name in ("theta", "dt"):
             setattr(self._world.clock, name, jnp.asarray(getattr(self._world.clock, name)))
-        self._draw_games = game_sampler(self.numpy, require_count("pool", pool, 1))
+        self._draw_games = game_sampler(self.numpy, _streams(pool, seed))
         self._parts = [each if callable(each) else jnp.asarray(each) for _, each in self._encoder.parts]
         start, self._starts = self.numpy.start, None
         if not isinstance(start, UniformStart):  # a reset chooses among these, (n, N, P)
-            self._starts = jnp.asarray(self.numpy.draw_estimates(_streams(pool if start.is_random else 1)))
-        self._schedules = self._drawn_schedules(pool)
+            self._starts = jnp.asarray(self.numpy.draw_estimates(_streams(pool if start.is_random else 1, seed)))
+        self._schedules = self._drawn_schedules(_streams(pool, seed))
 
     @partial(jax.jit, static_argnums=(0, 2))
     def reset(self, key: jax.Array, num_envs: int = 1) -> State:
@@ -174,11 +177,11 @@ class JaxWorld:
         """The digits of each episode, −log10 of the relative distance of all its estimates, shape (B,)."""
         return distances.digits(distances.over_players(measure_distances(state)))
 
-    def _drawn_schedules(self, pool: int) -> tuple[jax.Array, jax.Array] | None:
+    def _drawn_schedules(self, streams: list[RandomStreams]) -> tuple[jax.Array, jax.Array] | None:
         """Modes and times since the switch of schedules from which a reset chooses, (K+H+1, P) each, or (1, P)."""
         if not self.numpy.topology.is_random:
             return None
-        drawn = self.numpy.draw_randomness(_streams(pool))
+        drawn = self.numpy.draw_randomness(streams)
         assert drawn is not None and drawn.modes is not None and drawn.time_since_switch is not None  # noqa: S101, PT018 - for mypy
         # Beyond the last row JAX looks up the last one: enough for graphs that are drawn once per episode.
         rows = 1 if (drawn.modes == drawn.modes[0]).all() and not drawn.time_since_switch.any() else len(drawn.modes)
@@ -207,5 +210,6 @@ def require_x64() -> None:
         )
 
 
-def _streams(count: int) -> list[RandomStreams]:
-    return [RandomStreams.from_seed(seed) for seed in range(count)]
+def _streams(pool: int, seed: int) -> list[RandomStreams]:
+    episodes = range(require_count("pool", pool, 1))
+    return [RandomStreams.from_seed(episode_seed(seed, episode, "train")) for episode in episodes]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -45,10 +45,10 @@ def register_game(kind: type[Game]) -> None:
         jax.tree_util.register_pytree_node(kind, flatten, unflatten)
 
 
-def game_sampler(world: World, pool: int) -> Callable[[jax.Array], Game]:
+def game_sampler(world: World, streams: Sequence[RandomStreams]) -> Callable[[jax.Array], Game]:
     """Return the function that draws the games of episodes, one per key (B,).
 
-    Where numpy alone can draw them, episodes draw from a pool of so many games.
+    Where numpy alone can draw them, episodes draw from the games of a pool of streams.
     """
     game, family = world.game, world.game_family
     register_game(type(game))
@@ -62,7 +62,7 @@ def game_sampler(world: World, pool: int) -> Callable[[jax.Array], Game]:
             return games
 
         return sample
-    table = jax.tree.map(jnp.asarray, world.draw_game([RandomStreams.from_seed(seed) for seed in range(pool)]))
+    table = jax.tree.map(jnp.asarray, world.draw_game(streams))
     return lambda keys: columns(table, keys)
 
 

@@ -1,7 +1,7 @@
 """Learned policies in files: ``policy_files`` finds and loads them, and each format has a module.
 
 - ``onnx_policy``: networks without memory, run by onnxruntime
-- ``recurrent``: networks with memory, run by numpy
+- ``npz_policy``: networks that numpy runs: those of ``layers``, and those of ``recurrent`` for worlds of any size
 - ``sb3_archive``: models as Stable-Baselines3 saves them, which execute code when they are loaded
 """
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ptne_env.learn import onnx_policy, recurrent
+from ptne_env.learn import npz_policy, onnx_policy
+from ptne_env.learn.layers import LayeredPolicy
 from ptne_env.learn.recurrent import RecurrentPolicy
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.perception.policy import NetworkPolicy
@@ -74,13 +75,15 @@ def find_file(path_or_name: str | Path) -> Path:
     return shipped_path(str(path_or_name)) if str(path_or_name) in shipped_names() else Path(path_or_name)
 
 
-def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> NetworkPolicy | RecurrentPolicy:
+def load(
+    path_or_name: str | Path, layout: ObservationLayout | None = None
+) -> NetworkPolicy | RecurrentPolicy | LayeredPolicy:
     """Load a learned policy from an ``.onnx`` or ``.npz`` file, or a policy of the library by name.
 
     Args:
         path_or_name: the path of the file, or the name of a shipped policy.
-        layout: the layout of the environment in which the policy must be able to act; not checked if left out. The
-            policy of an ``.npz`` file needs it before it acts.
+        layout: the layout of the environment in which the policy must be able to act; not checked if left out. A
+            recurrent policy for worlds of any size needs it before it acts.
 
     Raises:
         ValueError: for an unknown name.
@@ -94,6 +97,6 @@ def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> N
     path = find_file(path_or_name)
     if path.suffix not in DATA.endings:
         path = shipped_path(str(path_or_name))  # which says what there is
-    open_policy = onnx_policy.open_policy if path.suffix == ".onnx" else recurrent.open_policy
-    policy: NetworkPolicy | RecurrentPolicy = open_policy(path, read_file(path, LARGEST_FILE))
+    open_policy = onnx_policy.open_policy if path.suffix == ".onnx" else npz_policy.open_policy
+    policy: NetworkPolicy | RecurrentPolicy | LayeredPolicy = open_policy(path, read_file(path, LARGEST_FILE))
     return policy if layout is None else policy.with_layout(layout)

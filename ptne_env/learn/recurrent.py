@@ -1,4 +1,4 @@
-"""Recurrent policies: a small network for numpy and JAX, the policy that plays it, and its file format.
+"""Recurrent policies: a small network for numpy and JAX, and the policy that plays it.
 
 One function computes the network, for numpy, which plays, and for JAX, which trains
 (:mod:`ptne_env.training.through_world`). All players, components and neighbours share the weights, and neighbours are
@@ -11,24 +11,17 @@ components, and the first axis holds F features: (F, D, n, M).
 
 from __future__ import annotations
 
-import io
-import json
 import math
 from collections.abc import Mapping
-from hashlib import sha256
-from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import ZipFile
 
 import numpy as np
 import numpy.typing as npt
 
+from ptne_env.learn.layers import Weights, apply_weights, update_hidden
 from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
-from ptne_env.perception.policy import PolicyFileError, RowPolicy
-from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, is_numpy, ordered_sum, without_gradient
-
-Weights = dict[str, Any]
-"""The weights of a network by name; float32 arrays of numpy or JAX."""
+from ptne_env.perception.policy import RowPolicy
+from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, ordered_sum, without_gradient
 
 PlayerMemory = dict[str, Any]
 """What players remember: hidden states, and the observation and move of the step before; zeros at a start."""
@@ -165,35 +158,35 @@ def run_network(
     own = seen.own / seen.own.sum(0)
     of_neighbour = [ordered_sum(slot_hidden, 2) / len(own), ordered_sum(slot_hidden * own, 2)]
     slot_inputs = (
-        _apply_weights(weights["slot_in"], slots)
-        + _apply_weights(weights["slot_component"], hidden)[:, :, None]
-        + _apply_weights(weights["slot_player"], players)[:, :, None, None]
-        + _apply_weights(weights["neighbour"], xp.concatenate(of_neighbour))[:, :, :, None]
-        + _apply_weights(weights["message"], messages)[:, :, :, None]
+        apply_weights(weights["slot_in"], slots)
+        + apply_weights(weights["slot_component"], hidden)[:, :, None]
+        + apply_weights(weights["slot_player"], players)[:, :, None, None]
+        + apply_weights(weights["neighbour"], xp.concatenate(of_neighbour))[:, :, :, None]
+        + apply_weights(weights["message"], messages)[:, :, :, None]
     )
-    slot_hidden = _update_hidden(slot_inputs, weights["slot_again"], slot_hidden)
-    logits = xp.where(live, 4 * _apply_weights(weights["gate"], slot_hidden)[0], -1e3)
+    slot_hidden = update_hidden(slot_inputs, weights["slot_again"], slot_hidden)
+    logits = xp.where(live, 4 * apply_weights(weights["gate"], slot_hidden)[0], -1e3)
     chances = xp.exp(logits - without_gradient(logits.max(0))) * live
     attention = chances / xp.maximum(ordered_sum(chances, 0), 1.0)  # the sum is at least 1 if any is live
     count = xp.maximum(live.sum(0), 1).astype(np.float32)
     pooled, chosen = ordered_sum(slot_hidden * live, 1) / count, ordered_sum(slot_hidden * attention, 1)
     context = [ordered_sum(hidden, 1) / len(own), ordered_sum(hidden * own, 1)]
     inputs = (
-        _apply_weights(weights["in"], components)
-        + _apply_weights(weights["pooled"], pooled)
-        + _apply_weights(weights["chosen"], chosen)
-        + _apply_weights(weights["player"], xp.concatenate([players, *context]))[:, :, None]
+        apply_weights(weights["in"], components)
+        + apply_weights(weights["pooled"], pooled)
+        + apply_weights(weights["chosen"], chosen)
+        + apply_weights(weights["player"], xp.concatenate([players, *context]))[:, :, None]
     )
-    hidden = _update_hidden(inputs, weights["again"], hidden)
-    amplitude, rate, free = _apply_weights(weights["out"], hidden) + weights["out_bias"][:, :, None]
+    hidden = update_hidden(inputs, weights["again"], hidden)
+    amplitude, rate, free = apply_weights(weights["out"], hidden) + weights["out_bias"][:, :, None]
     gates = (1 + xp.tanh(amplitude)) * attention
     step = 0.3 * xp.exp(xp.clip(rate, -7, 3)) * unit * seen.gradient
     wanted = ordered_sum(gates * seen.relative, 0) - step + 0.1 * free * nearest
     # Linear attention: a component follows moves of the others by learned shares of their mean. A factor of 4 lets
     # the shares, 0 at the start, grow as fast as other layers: without it, some training seeds do not get there.
     moves = xp.clip(wanted * (1 - held * seen.own), -3 * scale, 3 * scale)
-    news = ordered_sum(xp.tanh(_apply_weights(weights["key"], hidden)) * moves, 1) / len(own)
-    wanted = wanted + ordered_sum(4 * _apply_weights(weights["query"], hidden) * news[:, None], 0)
+    news = ordered_sum(xp.tanh(apply_weights(weights["key"], hidden)) * moves, 1) / len(own)
+    wanted = wanted + ordered_sum(4 * apply_weights(weights["query"], hidden) * news[:, None], 0)
     theta = xp.maximum(seen.clock[2], 1e-9)
     inputs = xp.clip(wanted / theta, -layout.action_bound, layout.action_bound)
     moved = without_gradient(theta * inputs)
@@ -295,32 +288,13 @@ def _squash(array: Any) -> Any:
     return 2 * xp.tanh(xp.clip(array, -20, 20) / 2)
 
 
-def _apply_weights(weight: Any, array: Any) -> Any:
-    """Multiply a matrix, or several that are stacked, with the features of an array (F, ..., M)."""
-    matrix = weight.reshape(-1, weight.shape[-1])
-    if is_numpy(array):
-        # Each player has a product of its own: in a larger one, libraries of linear algebra take other code for the
-        # last columns, so that the bits of a player's result would depend on its place.
-        of_players = np.ascontiguousarray(np.moveaxis(array, -1, 0)).reshape(array.shape[-1], len(array), -1)
-        product = np.ascontiguousarray(np.moveaxis(matrix @ of_players, 0, -1))
-    else:
-        product = matrix @ array.reshape(len(array), -1)
-    return product.reshape(*weight.shape[:-1], *array.shape[1:])
-
-
-def _update_hidden(inputs: Any, weights: Any, hidden: Any) -> Any:
-    """Return the next hidden state of a gated recurrent unit, from its inputs and its weights (3, F, F)."""
-    xp = array_namespace(hidden)
-    keep, use = 0.5 * (1 + xp.tanh((inputs[:2] + _apply_weights(weights[:2], hidden)) / 2))
-    return keep * hidden + (1 - keep) * xp.tanh(inputs[2] + _apply_weights(weights[2], use * hidden))
-
-
-# The player, and its file.
-
-LARGEST_UNPACKED = 16 << 20
-"""The largest number of bytes to which a file may unpack; the shipped ones have 80 to 290 kB."""
-
-_METADATA, _VERSION = "metadata", 6
+def check_weights(weights: Weights) -> None:
+    """Raise ``ValueError`` when the weights are not those of a network that plays."""
+    shapes = _weight_shapes(weights["again"].shape[-1], weights["slot_again"].shape[-1])
+    if shapes != {name: each.shape for name, each in weights.items()}:
+        raise ValueError("its weights have other shapes")
+    if weights["action_repeat"][0] not in range(1, MOST_REPEATS + 1):
+        raise ValueError(f"it holds actions for no number of steps from 1 to {MOST_REPEATS}")
 
 
 class RecurrentPolicy(RowPolicy):
@@ -380,49 +354,3 @@ class RecurrentPolicy(RowPolicy):
             memory = after
         memory = memory | {"waits": memory["waits"] - 1}
         return memory["inputs"].T.copy(), memory
-
-
-def seal(weights: Weights, training: Mapping[str, Any]) -> bytes:
-    """Return the content of a policy file: the weights, and a description with their SHA-256."""
-    arrays = {name: np.asarray(weights[name], dtype=np.float32) for name in sorted(weights)}
-    description = {"version": _VERSION, "sha256": _compute_digest(arrays, training), "training": dict(training)}
-    arrays[_METADATA] = np.frombuffer(json.dumps(description).encode(), dtype=np.uint8)
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]  # its stubs want allow_pickle among them
-    return buffer.getvalue()
-
-
-def open_policy(path: Path, content: bytes) -> RecurrentPolicy:
-    """Check the content of an ``.npz`` file, its size before anything is unpacked, and return its policy.
-
-    Raises:
-        PolicyFileError: when the content is damaged, foreign, too large or of another version.
-    """
-    try:
-        with ZipFile(io.BytesIO(content)) as archive:
-            size = sum(member.file_size for member in archive.infolist())
-        _require(size <= LARGEST_UNPACKED, f"it unpacks to more than {LARGEST_UNPACKED >> 20} MiB")
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            weights = {name: file[name] for name in file.files}
-        description = json.loads(weights.pop(_METADATA).tobytes())
-        _require(description["version"] == _VERSION, "it is of another version")
-        shapes = _weight_shapes(weights["again"].shape[-1], weights["slot_again"].shape[-1])
-        same = shapes == {name: each.shape for name, each in weights.items()}
-        _require(same and all(each.dtype == np.float32 for each in weights.values()), "its weights have other shapes")
-        _require(_compute_digest(weights, description["training"]) == description["sha256"], "it has another SHA-256")
-        _require(all(np.isfinite(each).all() for each in weights.values()), "a weight is not finite")
-        is_possible = weights["action_repeat"][0] in range(1, MOST_REPEATS + 1)
-        _require(is_possible, f"it holds actions for no number of steps from 1 to {MOST_REPEATS}")
-    except Exception as error:  # zip files raise many classes
-        raise PolicyFileError(f"{path} is damaged, or no recurrent policy of this library: {error}") from error
-    return RecurrentPolicy(path.stem, weights, None, description["training"])
-
-
-def _require(holds: bool, otherwise: str) -> None:  # noqa: FBT001 - private
-    if not holds:
-        raise ValueError(otherwise)
-
-
-def _compute_digest(weights: Weights, training: Any) -> str:
-    described = json.dumps(training, sort_keys=True).encode()
-    return sha256(b"".join([described, *(weights[name].tobytes() for name in sorted(weights))])).hexdigest()

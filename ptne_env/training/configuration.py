@@ -15,6 +15,9 @@ from ptne_env.shared.names import unknown_name
 from ptne_env.suites.suite import world_names
 from ptne_env.training import configurations
 
+ALGORITHMS = ("ippo", "ippo-rnn", "mappo-rnn", "sb3-ppo")
+"""The algorithms of a configuration: those of :mod:`ptne_env.training.jax_ppo`, and PPO of Stable-Baselines3."""
+
 
 @dataclass(frozen=True)
 class Configuration:
@@ -22,6 +25,7 @@ class Configuration:
 
     Attributes:
         scenario: the name of a scenario, of a track such as ``"ptne-v1/liar"``, or ``"module:object"``.
+        algorithm: one of :data:`ALGORITHMS`.
         steps: the number of agent-steps.
         envs: the number of environments that are stepped together.
         rollout: the number of steps of every environment between updates.
@@ -38,6 +42,7 @@ class Configuration:
     """
 
     scenario: str
+    algorithm: str = "ippo"
     steps: int = 2_000_000
     envs: int = 128
     rollout: int = 50
@@ -51,6 +56,8 @@ class Configuration:
 
     def __post_init__(self) -> None:
         require_printable("scenario", self.scenario)
+        if self.algorithm not in ALGORITHMS:
+            raise ValueError(unknown_name("algorithm", str(self.algorithm), ALGORITHMS))
         for name in ("steps", "envs", "rollout", "minibatches", "epochs"):
             require_count(name, getattr(self, name), 1)
         require_count("seed", self.seed, 0)

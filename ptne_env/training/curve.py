@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import read_file, write_atomically
 from ptne_env.shared.style import COLOURS, INK, drawing
 from ptne_env.world.scenario import Scenario
+
+FLAT = 0.05
+"""A training is flat when its last fifth gained fewer digits."""
 
 
 def read_learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
@@ -26,6 +30,13 @@ def read_learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
             return file["timesteps"].astype(float), file["results"].mean(axis=1)
     except Exception as error:  # zip files raise many classes
         raise ValueError(f"{path} is no learning curve: it is damaged or something else ({error})") from error
+
+
+def write_learning_curve(folder: Path, steps: Any, results: Any) -> None:
+    """Write the agent-steps of evaluations and their results, one row each, as Stable-Baselines3 does."""
+    buffer = io.BytesIO()
+    np.savez(buffer, timesteps=steps, results=results)
+    write_atomically(folder / "evaluations.npz", buffer.getvalue())
 
 
 def evaluate_laws(scenario: Scenario, episodes: int = 20) -> Results:

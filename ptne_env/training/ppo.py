@@ -1,6 +1,6 @@
 """PPO of Stable-Baselines3 on a scenario, with a network that all players share.
 
-Run it with ``ptne train random-energy --out DIR``. ``DIR`` then holds ``policy.onnx`` (load it with
+Run it with ``ptne train random-energy --algorithm sb3-ppo --out DIR``. ``DIR`` then holds ``policy.onnx`` (load it with
 :func:`ptne_env.learn.load`), ``summary.json``, ``configuration.json``, the evaluations of the learning curve
 (``evaluations.npz``), and models of Stable-Baselines3 in ``checkpoints``. The same command resumes an interrupted run
 from the last of them. An uninterrupted run ends with the same policy on the same machine; a resumed one draws other
@@ -49,6 +49,9 @@ POLICY = "policy.onnx"
 
 CURVE = "digits_gained"
 """The metric of the learning curve."""
+
+RESUMES_EXACTLY = False
+"""Whether a resumed run ends as if it had not been interrupted."""
 
 Progress = Callable[[int, int, float], None]
 """A function of the agent-steps done, their total, and the mean digits gained in the last evaluation (-inf before)."""

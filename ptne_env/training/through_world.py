@@ -1,14 +1,13 @@
 """Training through the world: a recurrent policy learns by gradients of its digits that flow through the dynamics.
 
 Back-propagation through windows of the JAX world; states and memories go on from window to window (truncated
-back-propagation, analytic policy gradients). ``ptne train SCENARIO --through-world --out DIR`` runs it. ``DIR`` then
-holds ``policy.npz``, from which the same command resumes an interrupted run, ``summary.json``, ``configuration.json``
-and the learning curve, ``evaluations.npz``.
+back-propagation, analytic policy gradients). ``ptne train SCENARIO --algorithm through-world --out DIR`` runs it.
+``DIR`` then holds ``policy.npz``, from which the same command resumes an interrupted run, ``summary.json``,
+``configuration.json`` and the learning curve, ``evaluations.npz``.
 """
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -28,22 +27,22 @@ from optax.contrib import MuonDimensionNumbers, muon
 import ptne_env.jax
 from ptne_env.evaluation.tracks import Track
 from ptne_env.learn import load
+from ptne_env.learn.layers import Weights
+from ptne_env.learn.npz_policy import seal
 from ptne_env.learn.recurrent import (
     GIVEN,
     MOST_REPEATS,
     RecurrentPolicy,
-    Weights,
     initial_memory,
     initial_weights,
-    open_policy,
     read,
     run_network,
-    seal,
 )
 from ptne_env.shared.arrays import require_count, require_positive, require_probability, without_gradient
-from ptne_env.shared.files import read_file, write_atomically
+from ptne_env.shared.files import write_atomically
 from ptne_env.suites.suite import find_scenario
 from ptne_env.training.configuration import RunSummary, read_finished_run, write_record
+from ptne_env.training.curve import write_learning_curve
 from ptne_env.world import distances
 
 POLICY = "policy.npz"
@@ -51,6 +50,9 @@ POLICY = "policy.npz"
 
 CURVE = "digits"
 """The metric of the learning curve."""
+
+RESUMES_EXACTLY = False
+"""Whether a resumed run ends as if it had not been interrupted."""
 
 
 @dataclass(frozen=True)
@@ -238,7 +240,7 @@ def train(
     weights = _starting_weights(settings)
     resumed_at, steps, reached = 0, 0, -math.inf
     if (out / POLICY).exists():
-        before = open_policy(out / POLICY, read_file(out / POLICY))
+        before = _load_recurrent(out / POLICY)
         weights, so_far = before.weights, before.training
         resumed_at, steps, reached = so_far["done"], so_far["agent_steps"], so_far["digits"]
     best = mean = weights = jax.tree.map(jnp.asarray, weights)
@@ -270,9 +272,7 @@ def train(
     if not len(curve):  # no episode has ended
         curve = np.array([[steps, lessons[0].digits()]])
     parts = [part for part in np.array_split(curve, 20) if len(part)]
-    buffer = io.BytesIO()
-    np.savez(buffer, timesteps=[part[:, 0].mean() for part in parts], results=[part[:, 1:].mean(0) for part in parts])
-    write_atomically(out / "evaluations.npz", buffer.getvalue())
+    write_learning_curve(out, [part[:, 0].mean() for part in parts], [part[:, 1:].mean(0) for part in parts])
     summary = RunSummary(steps, resumed_at, monotonic() - began, _late_digits(curve))
     write_record(out / "summary.json", summary)
     return summary
@@ -284,13 +284,18 @@ def _starting_weights(settings: Settings) -> Weights:
     weights = initial_weights(generator, *sizes, settings.knows_costs, settings.action_repeat)
     if not settings.start:
         return weights
-    start = load(settings.start)
-    if not isinstance(start, RecurrentPolicy):
-        raise ValueError(f"{settings.start} has no memory: a run starts from the weights of a recurrent policy")
+    start = _load_recurrent(settings.start)
     its_sizes = start.weights["again"].shape[-1], start.weights["slot_again"].shape[-1]
     if its_sizes != sizes:
         raise ValueError(f"{settings.start} has hidden and slot_hidden of {its_sizes}, but the settings {sizes}")
     return start.weights | {name: weights[name] for name in GIVEN}
+
+
+def _load_recurrent(path_or_name: str | Path) -> RecurrentPolicy:
+    policy = load(path_or_name)
+    if not isinstance(policy, RecurrentPolicy):
+        raise ValueError(f"{path_or_name} is no recurrent policy for worlds of any size, whose weights a run needs")
+    return policy
 
 
 def _make_optimiser(rate: Callable[[Any], Any]) -> Any:

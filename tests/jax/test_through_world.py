@@ -10,7 +10,7 @@ jax = pytest.importorskip("jax")
 import numpy as np
 
 import ptne_env.jax
-from ptne_env.learn import load, recurrent
+from ptne_env.learn import load, npz_policy, recurrent
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.suites import get_suite
@@ -55,7 +55,7 @@ def test_a_run_starts_from_the_weights_of_a_recurrent_policy():
     start = through_world._starting_weights(dataclasses.replace(SHORT, start=name, hidden=48, slot_hidden=24))
     given = {"knows_costs": np.ones(1), "action_repeat": np.ones(1)}  # those of the settings
     np.testing.assert_equal(start, load(name).weights | given)
-    with pytest.raises(ValueError, match="ppo-random-energy has no memory: a run starts from the weights"):
+    with pytest.raises(ValueError, match="ppo-random-energy is no recurrent policy for worlds of any size"):
         through_world._starting_weights(dataclasses.replace(SHORT, start="ppo-random-energy"))
     with pytest.raises(ValueError, match=r"hidden and slot_hidden of \(48, 24\), but the settings \(4, 3\)"):
         through_world._starting_weights(dataclasses.replace(SHORT, start=name))
@@ -116,7 +116,7 @@ def test_a_run_learns_and_goes_on_after_an_interruption(tmp_path):
         through_world.train(dataclasses.replace(SHORT, seed=1), out)
     (out / "summary.json").unlink()  # as if it was interrupted after two updates
     half = policy.training | {"done": 2, "agent_steps": 100}
-    (out / "policy.npz").write_bytes(recurrent.seal(policy.weights, half))
+    (out / "policy.npz").write_bytes(npz_policy.seal(policy.weights, half))
     resumed = through_world.train(SHORT, out)
     assert resumed.resumed_at == 2
     assert np.isfinite(resumed.digits)  # though no episode has ended since then
@@ -146,6 +146,6 @@ def test_a_run_that_gets_worse_keeps_its_best_weights(tmp_path, monkeypatch):
     file = tmp_path / "falls" / "policy.npz"
     before = load(file)
     file.with_name("summary.json").unlink()  # as if it was interrupted after thirty updates
-    file.write_bytes(recurrent.seal(before.weights, before.training | {"done": 30}))
+    file.write_bytes(npz_policy.seal(before.weights, before.training | {"done": 30}))
     through_world.train(dataclasses.replace(SHORT, updates=40), file.parent)
     np.testing.assert_equal(load(file).weights, before.weights)

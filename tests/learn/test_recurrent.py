@@ -9,16 +9,16 @@ import pytest
 
 import ptne_env
 from ptne_env import learn
-from ptne_env.learn import PolicyFileError, recurrent
+from ptne_env.learn import PolicyFileError, npz_policy, recurrent
 from ptne_env.perception.observation import LayoutError
 from ptne_env.suites import get_suite
 
 WEIGHTS = recurrent.initial_weights(np.random.default_rng(0), hidden=6, slot_hidden=4)
-CONTENT = recurrent.seal(WEIGHTS, {"seed": 0})
+CONTENT = npz_policy.seal(WEIGHTS, {"seed": 0})
 
 
 def opened(content=CONTENT):
-    return recurrent.open_policy(Path("mine.npz"), content)
+    return npz_policy.open_policy(Path("mine.npz"), content)
 
 
 @pytest.mark.parametrize("scenario", ["random-energy-switching", "robots", "oligopoly"])
@@ -157,7 +157,7 @@ def test_a_file_with_a_damaged_byte_is_refused_or_plays_the_same():
 def sealed_with(version=6, **changes):
     """A file whose SHA-256 is right, with some weights changed."""
     weights, buffer = WEIGHTS | changes, io.BytesIO()
-    described = {"version": version, "training": {}, "sha256": recurrent._compute_digest(weights, {})}
+    described = {"version": version, "training": {}, "sha256": npz_policy._compute_digest(weights, {})}
     np.savez_compressed(buffer, **weights, metadata=np.frombuffer(json.dumps(described).encode(), dtype=np.uint8))
     return buffer.getvalue()
 
@@ -165,7 +165,7 @@ def sealed_with(version=6, **changes):
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"PK\x03\x04 a zip", "damaged, or no recurrent policy"),
+        (b"PK\x03\x04 a zip", "damaged, or no policy of this library"),
         (sealed_with(version=9), "of another version"),
         (sealed_with(gate=np.zeros((1, 5), dtype=np.float32)), "other shapes"),
         (sealed_with(more=np.zeros(1, dtype=np.float32)), "other shapes"),

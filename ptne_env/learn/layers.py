@@ -1,0 +1,127 @@
+"""Networks of layers, feed-forward or with a gated recurrent unit, for numpy and JAX; numpy plays them.
+
+PPO on JAX (:mod:`ptne_env.training.jax_ppo`) trains them. The first axis of an array holds F features, the last one M
+players, those of all environments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import takewhile
+from typing import Any
+
+import numpy as np
+
+from ptne_env.learn.onnx_policy import Metadata
+from ptne_env.perception.policy import RowPolicy
+from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, is_numpy
+
+Weights = dict[str, Any]
+"""The weights of a network by name; float32 arrays of numpy or JAX."""
+
+LAYERS = tuple(f"layer_{number}" for number in range(8))
+"""The names of rectified layers, in their order; a network has the first of them. Each has a bias, ``layer_0_bias``."""
+
+
+def weight_shapes(size: int, hidden: tuple[int, ...], outputs: int, *, recurrent: bool) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the weights of a network by name; if it is recurrent, its last layer is the recurrent one.
+
+    Args:
+        size: the length of an observation.
+        hidden: the number of units of each layer.
+        outputs: the length of an action.
+        recurrent: whether the last layer is a gated recurrent unit.
+    """
+    *sizes, last = size, *hidden
+    shapes: dict[str, tuple[int, ...]] = {}
+    rectified = zip(LAYERS, sizes, [*sizes[1:], *([] if recurrent else [last])], strict=False)
+    for name, before, after in rectified:
+        shapes |= {name: (after, before), f"{name}_bias": (after, 1)}
+    if recurrent:
+        shapes |= {"in": (3, last, sizes[-1]), "in_bias": (3, last, 1), "again": (3, last, last)}
+    return shapes | {"out": (outputs, last), "out_bias": (outputs, 1)}
+
+
+def is_recurrent(weights: Weights) -> bool:
+    """Return whether a network has a memory."""
+    return "again" in weights
+
+
+def read_in(weights: Weights, array: Any) -> Any:
+    """Apply what comes before the memory: (F, M) to (units, M), or to the inputs (3, units, M) of a recurrent unit."""
+    xp = array_namespace(array)
+    for name in takewhile(weights.__contains__, LAYERS):
+        array = xp.maximum(apply_weights(weights[name], array) + weights[f"{name}_bias"], 0)
+    return apply_weights(weights["in"], array) + weights["in_bias"] if is_recurrent(weights) else array
+
+
+def read_out(weights: Weights, hidden: Any) -> Any:
+    """Apply the last layer, (units, M) to (outputs, M)."""
+    return apply_weights(weights["out"], hidden) + weights["out_bias"]
+
+
+def run_layers(weights: Weights, observations: Any, memory: Any) -> tuple[Any, Any]:
+    """Compute the outputs (outputs, M) from observations (size, M), and the memory (units, M).
+
+    A network without memory leaves it as it is.
+    """
+    hidden = read_in(weights, observations)
+    if is_recurrent(weights):
+        hidden = memory = update_hidden(hidden, weights["again"], memory)
+    return read_out(weights, hidden), memory
+
+
+def apply_weights(weight: Any, array: Any) -> Any:
+    """Multiply a matrix, or several that are stacked, with the features of an array (F, ..., M)."""
+    matrix = weight.reshape(-1, weight.shape[-1])
+    if is_numpy(array):
+        # Each player has a product of its own: in a larger one, libraries of linear algebra take other code for the
+        # last columns, so that the bits of a player's result would depend on its place.
+        of_players = np.ascontiguousarray(np.moveaxis(array, -1, 0)).reshape(array.shape[-1], len(array), -1)
+        product = np.ascontiguousarray(np.moveaxis(matrix @ of_players, 0, -1))
+    else:
+        product = matrix @ array.reshape(len(array), -1)
+    return product.reshape(*weight.shape[:-1], *array.shape[1:])
+
+
+def update_hidden(inputs: Any, weights: Any, hidden: Any) -> Any:
+    """Return the next hidden state of a gated recurrent unit, from its inputs and its weights (3, F, F)."""
+    xp = array_namespace(hidden)
+    keep, use = 0.5 * (1 + xp.tanh((inputs[:2] + apply_weights(weights[:2], hidden)) / 2))
+    return keep * hidden + (1 - keep) * xp.tanh(inputs[2] + apply_weights(weights[2], use * hidden))
+
+
+class LayeredPolicy(RowPolicy):
+    """A network of layers that numpy runs, in environments of the layout in which it was trained.
+
+    Attributes:
+        name: the name of the file, without its ending.
+        interface: that of the training, in whose units the action box is ±1.
+        weights: the weights of the network.
+        metadata: the description in the file.
+
+    Raises:
+        ValueError: when the weights are not those of a network for this layout.
+    """
+
+    def __init__(self, name: str, weights: Weights, metadata: Metadata) -> None:
+        self.name, self.weights, self.metadata, self.interface = name, weights, metadata, metadata.interface
+        hidden = [len(weights[layer]) for layer in takewhile(weights.__contains__, LAYERS)]
+        size = weights["layer_0" if hidden else "in"].shape[-1]
+        if is_recurrent(weights):
+            hidden.append(weights["again"].shape[-1])
+        outputs = sum(metadata.action_dims)
+        expected = weight_shapes(size, tuple(hidden), outputs, recurrent=is_recurrent(weights))
+        if expected != {name: each.shape for name, each in weights.items()}:
+            raise ValueError("its weights have other shapes")
+        made_for: Mapping[str, Any] = {name: getattr(metadata, name) for name in ("interface", "action_dims", "slots")}
+        self.made_for = {**made_for, "size": size}
+
+    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - it is deterministic
+        """Return the actions (R, n) and the memory (units, R)."""
+        if memory is None and is_recurrent(self.weights):
+            memory = np.zeros((self.weights["again"].shape[-1], len(rows)), dtype=np.float32)
+        elif starts.any() and memory is not None:
+            memory = np.where(starts, np.float32(0), memory)
+        actions, memory = run_layers(self.weights, np.ascontiguousarray(rows.T), memory)
+        return np.clip(actions.T, -1, 1), memory
