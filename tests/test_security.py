@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 import typer
-from extras import need_sb3
+from extras import need_jax, need_sb3
 from processes import run_python
 from small_suite import write_results
 from typer.testing import CliRunner
@@ -81,7 +81,9 @@ COMMANDS = {
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_ask_before_they_run_code_from_outside_the_library(command, evil):
-    if command in ("training", "archive", "pattern", "archive of render"):
+    if command == "training":
+        need_jax()
+    if command in ("archive", "pattern", "archive of render"):
         need_sb3()
     happened, error = ran(COMMANDS[command])
     assert not happened

@@ -1,6 +1,6 @@
-"""Training: ``ppo`` with Stable-Baselines3, and ``through_world`` with JAX; both write a policy file and a curve.
+"""Training: ``jax_ppo`` and ``through_world`` on JAX, ``ppo`` with Stable-Baselines3; all write a policy and a curve.
 
-``ppo`` needs the extra ``pip install "ptne-env[sb3]"``, ``through_world`` the extra ``ptne-env[jax]``.
+``ppo`` needs the extra ``pip install "ptne-env[sb3]"``, the others the extra ``ptne-env[jax]``.
 """
 
 from collections.abc import Mapping

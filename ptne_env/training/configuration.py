@@ -34,7 +34,7 @@ class Configuration:
         learning_rate: the learning rate at the start; it falls linearly to 0 at the end.
         discount: γ of PPO, in [0, 1]. Digits are counted undiscounted, over the whole horizon.
         log_std: the initial logarithm of the actions' standard deviation, at most 0.
-        hidden: the number of units of each tanh layer, of actor and critic alike.
+        hidden: the number of units of each layer, of actor and critic alike; the last one has the memory, if any.
         seed: the seed of the network, the sampling and the training games.
 
     Raises:
@@ -43,14 +43,14 @@ class Configuration:
 
     scenario: str
     algorithm: str = "ippo"
-    steps: int = 2_000_000
+    steps: int = 20_000_000
     envs: int = 128
     rollout: int = 50
     minibatches: int = 32
     epochs: int = 1
-    learning_rate: float = 1.5e-3
+    learning_rate: float = 3e-3
     discount: float = 0.7
-    log_std: float = -2.0
+    log_std: float = -1.5
     hidden: tuple[int, ...] = (64, 64)
     seed: int = 0
 

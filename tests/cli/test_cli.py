@@ -16,8 +16,9 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
-from extras import need_onnx, need_sb3
+from extras import need_jax, need_matplotlib, need_onnx
 
 from ptne_env.cli.app import ExitCode, main
 from ptne_env.learn import shipped_path
@@ -114,6 +115,7 @@ def test_characters_that_the_output_cannot_encode_are_spelled_out(words, printed
         ("compare ptne-v1/liar --set deadline=2", "--set changes scenarios"),
         ("render energy static --out x.gif --pictures 9999999", "--pictures"),
         ("list everything", "'everything' is not one of"),
+        ("train energy --algorithm ipo", "unknown algorithm 'ipo'; did you mean 'ippo'"),
         ("no-such-command", "No such command"),
     ],
 )
@@ -137,8 +139,6 @@ def test_wrong_usage_exits_with_2_and_a_message(words, message, run, tmp_path):
     ],
 )
 def test_a_missing_file_is_called_a_missing_file(words, run, tmp_path):
-    if words.startswith("train"):
-        need_sb3()
     outcome = run(words)
     assert outcome.code == ExitCode.FILE
     assert re.search(r"^Error: .*'missing\.file", outcome.err)
@@ -147,8 +147,6 @@ def test_a_missing_file_is_called_a_missing_file(words, run, tmp_path):
 
 @pytest.mark.parametrize("words", ["compare energy --policy no.onnx", "verify no.onnx", "train no.toml --out out"])
 def test_a_file_that_is_something_else_is_named(words, run, tmp_path):
-    if words.startswith("train"):
-        need_sb3()
     for name in ("no.onnx", "no.toml"):
         (tmp_path / name).write_text("something else", encoding="utf-8")
     outcome = run(words)
@@ -170,7 +168,7 @@ def test_a_file_that_is_something_else_is_named(words, run, tmp_path):
 )
 def test_an_obstacle_to_writing_exits_before_the_work(words, run, tmp_path):
     if words.startswith("train"):
-        need_sb3()
+        need_jax()
     (tmp_path / "blocked").write_text("in the way", encoding="utf-8")
     outcome = run(words)
     assert (outcome.code, outcome.out) == (ExitCode.FILE, "")
@@ -481,3 +479,23 @@ def test_escape_sequences_of_names_and_errors_are_spelled_out(run, tmp_path):
         printed = done.out + done.err
         assert not [char for char in printed if not (char.isprintable() or char in "\n\xa0")]
         assert "[31mred" in printed
+
+
+def test_a_training_says_whether_its_last_fifth_still_gained(run, monkeypatch):
+    need_jax()
+    need_matplotlib()
+    from ptne_env.training import jax_ppo
+    from ptne_env.training.configuration import RunSummary
+    from ptne_env.training.curve import write_learning_curve
+
+    def train(configuration, out, progress):
+        digits = [[1.0], [1.5], [2.0], [2.0], [2.0 + configuration.seed / 10]]
+        write_learning_curve(out, 1000 * np.arange(1, 6), digits)
+        return RunSummary(5000, 0, 1.0, digits[-1][0])
+
+    monkeypatch.setattr(jax_ppo, "train", train)
+    printed = run("train energy --seeds 2").out
+    assert "2.00 digits on the validation episodes, after 1 s; policy.npz written to trained/seed-0" in printed
+    assert "The last fifth of the training gained 0.00 digits\n" in printed
+    assert "The last fifth of the training gained 0.10 digits: more --steps gain more\n" in printed
+    assert "ptne compare energy --policy 'static,trained=trained/seed-*/policy.npz'" in printed
