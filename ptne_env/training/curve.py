@@ -1,4 +1,4 @@
-"""The learning curve of a run, and its picture."""
+"""The learning curve of a run, its picture, and the validation of its policy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.evaluation import COMPARED, METRICS, POLICIES, Results, evaluate
+from ptne_env.evaluation import COMPARED, METRICS, POLICIES, PolicySpec, Results, evaluate
 from ptne_env.report.tables import leaders
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import read_file, write_atomically
@@ -37,6 +37,22 @@ def write_learning_curve(folder: Path, steps: Any, results: Any) -> None:
     buffer = io.BytesIO()
     np.savez(buffer, timesteps=steps, results=results)
     write_atomically(folder / "evaluations.npz", buffer.getvalue())
+
+
+VALIDATION_EPISODES = 200
+"""The episodes on which an exported policy is validated."""
+
+
+def validate(policy: Any, scenario: Scenario) -> float:
+    """Return the mean digits of an exported policy on the validation episodes.
+
+    Raises:
+        ValueError: when the policy fails on one of them.
+    """
+    results = evaluate([PolicySpec("trained", policy)], [scenario], episodes=VALIDATION_EPISODES, split="validation")
+    for reason in results.failures.values():
+        raise ValueError(f"the trained policy fails on {scenario.name!r}: {reason}")
+    return float(np.mean(results.samples[scenario.name, "trained"]["digits"]))
 
 
 def evaluate_laws(scenario: Scenario, episodes: int = 20) -> Results:

@@ -22,7 +22,6 @@ import numpy as np
 import optax
 
 import ptne_env.jax
-from ptne_env.evaluation import PolicySpec, evaluate
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.learn.layers import Weights, is_recurrent, read_in, read_out, run_layers, update_hidden, weight_shapes
 from ptne_env.learn.npz_policy import open_policy, seal
@@ -31,7 +30,7 @@ from ptne_env.perception.fields import LOG_SCALE_UNIT
 from ptne_env.shared.files import DamagedFileError, read_file, write_atomically
 from ptne_env.suites import find_scenario
 from ptne_env.training.configuration import Configuration, RunSummary, read_finished_run, write_record
-from ptne_env.training.curve import write_learning_curve
+from ptne_env.training.curve import validate, write_learning_curve
 from ptne_env.world.dynamics import State
 
 POLICY, CHECKPOINT = "policy.npz", "checkpoint.npz"
@@ -43,12 +42,8 @@ CURVE = "digits"
 RESUMES_EXACTLY = True
 """Whether a resumed run ends as if it had not been interrupted."""
 
-EVALUATIONS, EPISODES, VALIDATION_EPISODES = 20, 50, 200
-"""The number of evaluations, and of checkpoints, in a run; the validation episodes of each, and those of the exported
-policy."""
-
-LARGEST_CHECKPOINT = 1 << 30
-"""The largest number of bytes of a checkpoint that is read."""
+EVALUATIONS, EPISODES = 20, 50
+"""The number of evaluations, and of checkpoints, in a run; and the validation episodes of each."""
 
 CLIP, GAE_LAMBDA, VALUE_WEIGHT, LARGEST_NORM = 0.2, 0.9, 0.5, 0.5
 """The settings of PPO that are as in Stable-Baselines3 and not tuned: ε, λ, the weight of the value's loss, and the
@@ -334,12 +329,7 @@ def train(
         interface=layout.interface, action_dims=layout.action_dims, slots=layout.slots, training=asdict(configuration)
     )
     content = seal(jax.tree.map(np.asarray, runner.average), metadata)
-    name, scenario = configuration.algorithm, learner.world.numpy.scenario
-    policy = PolicySpec(name, open_policy(Path(POLICY), content))
-    results = evaluate([policy], [scenario], episodes=VALIDATION_EPISODES, split="validation")
-    for reason in results.failures.values():
-        raise ValueError(f"the trained policy fails on {scenario.name!r}: {reason}")
-    digits = float(np.mean(results.samples[scenario.name, name]["digits"]))
+    digits = validate(open_policy(Path(POLICY), content), learner.world.numpy.scenario)
     write_atomically(out / POLICY, content)
     summary = RunSummary(len(curve) * chunk, resumed_at, monotonic() - began, digits)
     write_record(out / "summary.json", summary)
@@ -359,7 +349,7 @@ def _restore(runner: Runner, path: Path) -> tuple[Runner, Any]:
         return runner, np.empty((0, EPISODES))
     expected, structure = jax.tree.flatten(runner)
     try:
-        with np.load(io.BytesIO(read_file(path, LARGEST_CHECKPOINT))) as file:
+        with np.load(io.BytesIO(read_file(path, 1 << 30))) as file:
             curve, *leaves = (file[name] for name in file.files)
     except Exception as error:  # zip files raise many classes
         raise DamagedFileError(f"{path} is damaged, or no checkpoint: remove it to start again ({error})") from error

@@ -30,14 +30,13 @@ from torch import nn
 
 from ptne_env._version import __version__
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.evaluation import PolicySpec, evaluate
 from ptne_env.learn.onnx_policy import Metadata, open_policy, seal
 from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.files import require_file, write_atomically
 from ptne_env.suites import find_scenario
 from ptne_env.training.configuration import Configuration, RunSummary, read_finished_run, write_record
-from ptne_env.world.scenario import Scenario
+from ptne_env.training.curve import validate
 
 if TYPE_CHECKING:
     from gymnasium import spaces
@@ -59,8 +58,8 @@ Progress = Callable[[int, int, float], None]
 EVALUATIONS = 10
 """The number of evaluations, and of checkpoints, in a run."""
 
-GAMES, VALIDATION_EPISODES = 20, 200
-"""The games of an evaluation, and the episodes on which the exported policy is validated."""
+GAMES = 20
+"""The games of an evaluation."""
 
 
 def train(configuration: Configuration, out: Path, progress: Progress | None = None) -> RunSummary:
@@ -101,7 +100,7 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
         model.learn(configuration.steps - resumed_at, callback=callbacks, reset_num_timesteps=False)
 
     exported = to_onnx(model, env.layout, **asdict(configuration))
-    digits = _validate(exported, scenario)
+    digits = validate(open_policy(Path(POLICY), exported), scenario)
     write_atomically(out / POLICY, exported)
     summary = RunSummary(model.num_timesteps, resumed_at, monotonic() - began, digits)
     write_record(out / "summary.json", summary)
@@ -140,15 +139,6 @@ def _restore(model: PPO, checkpoints: Path) -> int:
             model.set_parameters(str(done[steps]), device="cpu")
             return steps
     return 0
-
-
-def _validate(exported: bytes, scenario: Scenario) -> float:
-    """Return the mean digits of an exported policy on the validation episodes."""
-    policy = PolicySpec("ppo", open_policy(Path(POLICY), exported))
-    results = evaluate([policy], [scenario], episodes=VALIDATION_EPISODES, split="validation")
-    for reason in results.failures.values():
-        raise ValueError(f"the trained policy fails on {scenario.name!r}: {reason}")
-    return float(np.mean(results.samples[scenario.name, "ppo"]["digits"]))
 
 
 class _Report(BaseCallback):

@@ -12,7 +12,7 @@ import numpy as np
 import ptne_env
 from ptne_env.learn import PolicyFileError, layers, load, npz_policy
 from ptne_env.learn.layers import LayeredPolicy
-from ptne_env.training import jax_ppo
+from ptne_env.training import curve, jax_ppo
 from ptne_env.training.configuration import Configuration
 from ptne_env.training.curve import read_learning_curve
 
@@ -35,7 +35,7 @@ def learner(algorithm="ippo", **changes):
 @pytest.fixture(autouse=True)
 def _few(monkeypatch):
     monkeypatch.setattr(jax_ppo, "Learner", learner_of)
-    monkeypatch.setattr(jax_ppo, "VALIDATION_EPISODES", jax_ppo.EPISODES)
+    monkeypatch.setattr(curve, "VALIDATION_EPISODES", 5)
 
 
 class InterruptionError(Exception):
@@ -94,8 +94,8 @@ def test_numpy_plays_a_policy_file_as_jax_trained_it(algorithm, tmp_path):
     assert (memory is None) == (algorithm == "ippo")
     assert np.ptp(actions) > 0.01
     results = ptne_env.evaluate({"mine": policy}, [SCENARIO], episodes=50, split="validation")
-    curve = read_learning_curve(tmp_path)[1]
-    assert results.record(SCENARIO.name, "mine", "digits")["mean"] == pytest.approx(curve[-1], abs=1e-4)
+    digits = read_learning_curve(tmp_path)[1]
+    assert results.record(SCENARIO.name, "mine", "digits")["mean"] == pytest.approx(digits[-1], abs=1e-4)
 
 
 def test_a_layered_file_with_weights_of_another_network_is_refused(tmp_path):
@@ -163,8 +163,8 @@ def test_seeds_share_no_episode():
 
 def test_a_run_gains_digits(tmp_path):
     jax_ppo.train(dataclasses.replace(SHORT, steps=40_000, envs=8, minibatches=4, learning_rate=0.003), tmp_path)
-    curve = read_learning_curve(tmp_path)[1]
-    assert curve[-1] > curve[0] + 0.3
+    digits = read_learning_curve(tmp_path)[1]
+    assert digits[-1] > digits[0] + 0.3
 
 
 def test_minibatches_that_do_not_divide_the_samples_are_refused():

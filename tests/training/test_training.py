@@ -24,7 +24,7 @@ from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.report.tables import leaders
 from ptne_env.training import configurations, ppo
 from ptne_env.training.configuration import Configuration
-from ptne_env.training.curve import draw, evaluate_laws, read_learning_curve
+from ptne_env.training.curve import VALIDATION_EPISODES, draw, evaluate_laws, read_learning_curve
 from ptne_env.training.ppo import to_onnx
 
 SCENARIO = ptne_env.get_scenario("random-energy", steps=40)
@@ -99,7 +99,7 @@ def test_a_run_leaves_a_policy_that_reaches_the_digits_in_its_file(run):
     assert (summary.agent_steps, summary.resumed_at) == (700, 0)
     assert json.loads((out / "summary.json").read_text()) == dataclasses.asdict(summary)
     results = ptne_env.evaluate(
-        [PolicySpec("ppo", policy)], [SCENARIO], episodes=ppo.VALIDATION_EPISODES, split="validation"
+        [PolicySpec("ppo", policy)], [SCENARIO], episodes=VALIDATION_EPISODES, split="validation"
     )
     assert results.record("random-energy", "ppo", "digits")["mean"] == pytest.approx(summary.digits, abs=1e-9)
     assert [report[:2] for report in reports] == [(100 * done, 700) for done in range(1, 8)]
