@@ -59,6 +59,14 @@ _OTHERS = {
         "Ye and Hu's adaptive law: the grounded law, with gains that every player tunes by itself.",
         part("law:adaptive-grounded", gamma=0.0001, initial_gain=3.0),
     ),
+    "leader-estimator": (
+        "He and Huang's law: the grounded law with slow strategies, for graphs that are jointly connected.",
+        part("law:grounded", kappa=2.0, gradient_gain=0.5),
+    ),
+    "fixed-time": (
+        "The grounded law with signed powers of gradients and differences, so that the start does not matter.",
+        part("law:fixed-time", kappa=2.0, power=0.5, step=1.0),
+    ),
     "projected-gradient": (
         "Bianchi and Grammatico's discrete law: average with the neighbours, then take a gradient step.",
         part("law:projected-gradient", step=0.47, mixing=0.357),

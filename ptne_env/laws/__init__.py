@@ -6,6 +6,7 @@ All of them act through the interfaces that learned policies use. A file holds o
 
 from ptne_env.laws.adaptive import Adaptive as Adaptive
 from ptne_env.laws.base import Law as Law
+from ptne_env.laws.fixed_time import FixedTime as FixedTime
 from ptne_env.laws.grounded import AdaptiveGrounded as AdaptiveGrounded
 from ptne_env.laws.grounded import Grounded as Grounded
 from ptne_env.laws.projected_gradient import ProjectedGradient as ProjectedGradient

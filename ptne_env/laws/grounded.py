@@ -8,7 +8,7 @@ import numpy as np
 
 from ptne_env.laws.base import Law, consensus
 from ptne_env.perception.observation import Observation, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, FloatArray, array_namespace, require_non_negative
+from ptne_env.shared.arrays import BoolArray, FloatArray, array_namespace, require_non_negative, require_positive
 
 
 def grounded_error(observation: Observation, leaders: BoolArray) -> FloatArray:
@@ -25,37 +25,50 @@ def grounded_error(observation: Observation, leaders: BoolArray) -> FloatArray:
     return error
 
 
-def grounded_inputs(observation: Observation, own: BoolArray, leaders: BoolArray, kappa: Any) -> FloatArray:
-    """Return −∂J_i/∂x_i(x^i) in the own components, and −κ ξ^i_j (:func:`grounded_error`) in others; (..., n)."""
+def grounded_inputs(
+    observation: Observation, own: BoolArray, leaders: BoolArray, kappa: Any, gradient_gain: Any = 1.0
+) -> FloatArray:
+    """Return −δ ∂J_i/∂x_i(x^i) in the own components, and −κ ξ^i_j (:func:`grounded_error`) in others; (..., n)."""
     error = kappa * grounded_error(observation, leaders)
-    inputs: FloatArray = array_namespace(error).where(own, -observation.gradient, error)
+    inputs: FloatArray = array_namespace(error).where(own, -gradient_gain * observation.gradient, error)
     return inputs
 
 
 class Grounded(Law):
     """Ye and Hu's law with a fixed gain, in effective time.
 
-    u^i_i = −∂J_i/∂x_i(x^i) and u^i_j = −κ ξ^i_j for j ≠ i, with :func:`grounded_error`: a strategy follows its own
+    u^i_i = −δ ∂J_i/∂x_i(x^i) and u^i_j = −κ ξ^i_j for j ≠ i, with :func:`grounded_error`: a strategy follows its own
     gradient alone. M. Ye and G. Hu, "Distributed Nash equilibrium seeking by a consensus based approach", IEEE
     Transactions on Automatic Control 62(9), 2017. There a player also estimates its own strategy, in whose place it
-    stands itself here, and a small gain slows the gradient instead of κ quickening the estimates.
+    stands itself here, and κ is 1 and δ small, while here κ may be large, too.
+
+    Over graphs that are only jointly connected, a large κ need not suffice, but a small δ does. X. He and J. Huang, "A
+    distributed approach to seek Nash equilibrium over jointly strongly connected switching networks", Chinese Control
+    Conference, 2022, pp. 6905–6909, compose the gradient dynamics with an estimator of all strategies. By its abstract,
+    which is all that we have read, all estimates converge to x* exponentially from every start, if F is strongly
+    monotone and Lipschitz and the graphs that act within any window of some length are connected together. In effective
+    time this holds for every κ > 0 and all δ below some bound, by small gain: while strategies rest, the errors of the
+    estimates vanish at a rate that does not depend on δ, and strategies move in proportion to δ. Theorem 4 of the paper
+    is false on such graphs (docs/errata.md, 2).
 
     Args:
         layout: the layout of the environment.
         kappa: κ ≥ 0.
+        gradient_gain: δ > 0.
 
     Raises:
-        ValueError: for a negative gain.
+        ValueError: for a gain out of range.
     """
 
-    def __init__(self, layout: ObservationLayout, kappa: float = 2.0) -> None:
+    def __init__(self, layout: ObservationLayout, kappa: float = 2.0, gradient_gain: float = 1.0) -> None:
         super().__init__(layout)
         self.kappa = require_non_negative("kappa", kappa)
+        self.gradient_gain = require_positive("gradient_gain", gradient_gain)
 
     def inputs(self, observation: Observation, memory: None) -> tuple[FloatArray, None]:
         player = observation.player
         own, leaders = self.layout.own_mask[player], self.layout.neighbour_components[player]
-        return grounded_inputs(observation, own, leaders, self.kappa), memory
+        return grounded_inputs(observation, own, leaders, self.kappa, self.gradient_gain), memory
 
 
 class AdaptiveGrounded(Law):

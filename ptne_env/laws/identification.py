@@ -123,6 +123,33 @@ def identify(
     return Model(rows, covariance, widest, estimate, gradient, radius, np.ones_like(radius))
 
 
+class Curvature(NamedTuple):
+    """The curvature of their own costs that R players have seen so far."""
+
+    largest: FloatArray  # L, in units of gradient per strategy, shape (R, 1)
+    gradient: FloatArray  # own gradient in the step before, in natural units, shape (R, n)
+    moved: FloatArray  # the own move of that step, 0 where others' estimates moved more, shape (R, 1)
+
+
+def no_curvature(layout: ObservationLayout) -> Curvature:
+    """Return what one player has seen before the first step."""
+    none = np.zeros((1, 1))
+    return Curvature(none, np.zeros((1, layout.dimension)), none)
+
+
+def see_curvature(was: Curvature, observation: Observation) -> Curvature:
+    """Update L, the largest ‖Δ∂J_i/∂x_i‖_∞/‖Δx_i‖_∞ so far, of steps in which :func:`own_move` is not 0."""
+    gradient = observation.gradient * observation.unit
+    change = largest(gradient - was.gradient) - _SEEN * RESOLUTION * (largest(gradient) + largest(was.gradient))
+    secant = np.where(was.moved > 0, change / np.where(was.moved > 0, was.moved, 1.0), 0.0)
+    return Curvature(np.maximum(was.largest, secant), gradient, was.moved)
+
+
+def own_move(own: FloatArray, others: FloatArray) -> FloatArray:
+    """Return the largest move of own components, (R, n) to (R, 1), and 0 where another component moves as far."""
+    return np.where(largest(own) > largest(others), largest(own), 0.0)
+
+
 def own_curvatures(
     model: Model, blocks: IntArray, held: BoolArray | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -7,13 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ptne_env.laws.base import RecordLaw, per_step
-from ptne_env.laws.identification import RESOLUTION, clip_to_reach, largest
+from ptne_env.laws.identification import Curvature, clip_to_reach, no_curvature, own_move, see_curvature
 from ptne_env.laws.sources import Contacts, find_sources, initial_contacts, mean_difference
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
-
-_VISIBLE = 8.0
-"""A change of the gradient is visible beyond this multiple of the resolution of observations."""
 
 
 class RoutedMemory(NamedTuple):
@@ -22,9 +19,7 @@ class RoutedMemory(NamedTuple):
     contacts: Contacts  # with their neighbours
     drift: FloatArray  # the last moves of the others' estimates, shape (R, n)
     steps: FloatArray  # number of steps done, shape (R, 1)
-    gradient: FloatArray  # own gradient in the step before, in natural units, shape (R, n)
-    moved: FloatArray  # the own move of that step, 0 where others' estimates moved more, shape (R, 1)
-    curvature: FloatArray  # L, shape (R, 1)
+    curvature: Curvature  # of the own costs
 
 
 class RoutedUnknown(RecordLaw):
@@ -36,8 +31,8 @@ class RoutedUnknown(RecordLaw):
     of c, x^i_c is the owner's strategy d_ic steps ago, d_ic being the hop count. That is gradient play with delays,
     x_i(k+1) = x_i(k) − η ∂J_i/∂x_i(x_1(k − d_i1), …, x_N(k − d_iN)).
 
-    The step is the smaller one of η and 1/L, where L is the largest ‖Δ∂J_i/∂x_i‖/‖Δx_i‖ so far, of steps in which the
-    own strategy moved more than the estimates of others: gradient steps above 2/L go too far.
+    The step is the smaller one of η and 1/L (:func:`~ptne_env.laws.identification.see_curvature`): gradient steps above
+    2/L go too far.
 
     Args:
         layout: the layout of the environment.
@@ -50,7 +45,7 @@ class RoutedUnknown(RecordLaw):
     def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
         super().__init__(layout)
         components, none = np.zeros((1, layout.dimension)), np.zeros((1, 1))
-        self.start = RoutedMemory(initial_contacts(layout), components, none, components, none, none)
+        self.start = RoutedMemory(initial_contacts(layout), components, none, no_curvature(layout))
         self.step = require_positive("step", step)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -58,13 +53,9 @@ class RoutedUnknown(RecordLaw):
         leaders, is_own = self.layout.neighbour_components[player], self.layout.own_mask[player]
         sources, contacts = find_sources(observation, was.contacts, was.steps > 0, was.drift, leaders)
         drift = mean_difference(observation, sources & ~is_own[:, None])
-        gradient = observation.gradient * observation.unit
-        change = largest(gradient - was.gradient)
-        change = change - _VISIBLE * RESOLUTION * (largest(gradient) + largest(was.gradient))
-        curvature = np.where(was.moved > 0, change / np.where(was.moved > 0, was.moved, 1.0), 0.0)
-        curvature = np.maximum(was.curvature, curvature)
-        own = observation.gradient / np.maximum(1 / self.step, curvature)
-        moved = np.where(largest(own) > largest(drift), largest(own), 0.0) * observation.unit
+        seen = see_curvature(was.curvature, observation)
+        own = observation.gradient / np.maximum(1 / self.step, seen.largest)
         asked = clip_to_reach(drift, observation, self.layout)
-        fresh = RoutedMemory(contacts, asked, was.steps + 1, gradient, moved, curvature)
+        seen = seen._replace(moved=own_move(own, drift) * observation.unit)
+        fresh = RoutedMemory(contacts, asked, was.steps + 1, seen)
         return per_step(drift - own, observation), self.pack(fresh)

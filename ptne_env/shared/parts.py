@@ -71,6 +71,7 @@ PARTS: Mapping[str, str] = {
     "law:adaptive": "ptne_env.laws:Adaptive",
     "law:adaptive-grounded": "ptne_env.laws:AdaptiveGrounded",
     "law:corollary-one": "ptne_env.laws:CorollaryOne",
+    "law:fixed-time": "ptne_env.laws:FixedTime",
     "law:grounded": "ptne_env.laws:Grounded",
     "law:relay": "ptne_env.laws:Relay",
     "law:residual-coder": "ptne_env.laws:ResidualCoder",

@@ -110,19 +110,19 @@ def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
 
 
 def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
-    """κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, with λ the smallest eigenvalue of the grounded Laplacians.
+    """κ/δ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, with λ the smallest eigenvalue of the grounded Laplacians.
 
-    The paper proves that a large enough κ exists (there 1/δ). This κ is large enough, for d/dτ ½(‖x − x*‖² + ‖y‖²),
-    y being the estimates minus the strategies that they estimate, is at most
-    −ε a² + (ι + √(N−1) ι_F) a b − (κ λ − √(N−1) ι) b² with a = ‖x − x*‖ and b = ‖y‖.
+    The paper proves that a large enough κ/δ exists (there κ = 1). This one is large enough, for with time in units of
+    1/δ, d/dτ ½(‖x − x*‖² + ‖y‖²), y being the estimates minus the strategies that they estimate, is at most
+    −ε a² + (ι + √(N−1) ι_F) a b − (κ λ/δ − √(N−1) ι) b² with a = ‖x − x*‖ and b = ‖y‖.
     """
     grounded, bound = _grounded_connectivity(constants), np.inf
     if constants.epsilon > 0 and grounded > 0:
         others = np.sqrt(constants.num_players - 1)
         cross = constants.iota_estimates + others * constants.iota_strategies
         bound = (cross**2 / (4 * constants.epsilon) + others * constants.iota_estimates) / grounded
-    name = f"κ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, λ = {grounded:.3g}"
-    return Condition.above(name, law.kappa, bound, exact=constants.exact)
+    name = f"κ/δ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, λ = {grounded:.3g}"
+    return Condition.above(name, law.kappa / law.gradient_gain, bound, exact=constants.exact)
 
 
 def _grounded_connectivity(constants: ProblemConstants) -> float:

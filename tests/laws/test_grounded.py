@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from affine_games import loop_start, run
-from worlds import BLOCKS, make_env, play, stack, world_and_encoder
+from affine_games import affine_scenario, loop_start, run
+from worlds import BLOCKS, fixed_part, make_env, play, stack, world_and_encoder
 
-from ptne_env import get_scenario, laws, theory
+from ptne_env import FactorySpec, get_scenario, laws, theory
 from ptne_env.world import dynamics
 
 
@@ -64,3 +64,34 @@ def test_gains_of_ye_and_hu_grow_until_the_network_converges():
     assert history[-1] == pytest.approx(history[3000], rel=1e-3)
     target = np.tile(world.game.nash_equilibrium, 5)
     assert np.linalg.norm(stack(state.estimates) - target) < 1e-3 * np.linalg.norm(target)
+
+
+def test_small_gradient_gain_converges_where_no_mode_is_connected():
+    """The two players of erratum 2, whose link acts in every other dwell, against the multipliers of Floquet."""
+
+    def matrix(delta, kappa, weight):  # of x_1, x_2, and of the estimates of x_2 by player 1 and of x_1 by player 2
+        return np.array(
+            [
+                [-delta, 0, -10 * delta, 0],
+                [0, -delta, 0, 10 * delta],
+                [0, 2 * kappa * weight, -2 * kappa * weight, 0],
+                [2 * kappa * weight, 0, 0, -2 * kappa * weight],
+            ]
+        )
+
+    modes = tuple(fixed_part(weight * (np.ones((2, 2)) - np.eye(2))) for weight in (0.0, 1.0))
+    topology = FactorySpec.of("topology:periodic", graphs=modes, dwells=(0.25, 0.25), clock="transformed")
+    times = {"gain": 0.0, "steps": 3000, "s_end": 30.0, "input_limit": 1e9}
+    world, encoder = world_and_encoder(affine_scenario([[1.0, 10.0], [-10.0, 1.0]], [0.0, 0.0], topology, **times))
+    for delta in (0.06, 1.0):
+        law = laws.Grounded(encoder.layout, kappa=20.0, gradient_gain=delta)
+        steps = [np.eye(4) + 0.01 * matrix(delta, 20.0, weight) for weight in (0.0, 1.0)]
+        period = np.linalg.matrix_power(steps[1], 25) @ np.linalg.matrix_power(steps[0], 25)
+        assert (np.abs(np.linalg.eigvals(period)).max() < 1) == (delta < 1)
+        states = run(world, encoder, law, loop_start(world), steps=3000 if delta < 1 else 200)[..., 0]
+        vectors = states[:, (0, 1, 1, 0), (0, 1, 0, 1)]  # x_1, x_2, x^1_2, x^2_1
+        expected = vectors[0]
+        for mode in world.modes[: len(states) - 1]:
+            expected = steps[mode] @ expected
+        assert vectors[-1] == pytest.approx(expected, rel=1e-3, abs=1e-3 * np.abs(expected).max())
+        assert (np.linalg.norm(expected) < 0.7 * np.linalg.norm(vectors[0])) == (delta < 1)

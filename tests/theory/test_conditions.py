@@ -166,6 +166,8 @@ def test_gain_of_ye_and_hu_makes_their_lyapunov_function_decrease(seed):
     """V = ½‖x − x*‖² + ½‖y‖² in the coordinates x and y^i_j = x^i_j − x_j, as in the condition of :class:`Grounded`."""
     scenario, game, adjacency = random_world(seed)
     kappa = 1.0001 * condition_on(scenario, laws.Grounded).bound
+    slow = {"kappa": kappa / 10, "gradient_gain": 0.1}  # the same loop in another unit of time
+    assert condition_on(scenario, laws.Grounded, **slow).value == pytest.approx(kappa)
     n = game.dimension
     matrix = grounded_matrix(game, adjacency, kappa)
     own = [i * n + i for i in range(n)]
