@@ -6,7 +6,7 @@ import numpy as np
 
 from ptne_env.laws.base import RecordLaw, consensus, per_step
 from ptne_env.laws.grounded import grounded_inputs
-from ptne_env.laws.identification import clip_to_reach, no_curvature, own_move, see_curvature
+from ptne_env.laws.identification import clip_to_reach, no_curvature, see_curvature
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 
@@ -18,13 +18,13 @@ class FixedTime(RecordLaw):
     """The grounded law with signed powers of gradients and differences, in effective time.
 
     u^i_i = −s(∂J_i/∂x_i(x^i)) and u^i_j = −κ s(ξ^i_j) for j ≠ i, with :func:`~ptne_env.laws.grounded.grounded_error`
-    and s(v) = sign(v) (|v|^{1−α} + |v|^{1+α}) of every component in natural units. Far from rest the larger power acts,
-    near it the smaller one, so that the time to settle has a bound which holds for every start. J. I. Poveda, M. Krstić
-    and T. Başar, "Fixed-time Nash equilibrium seeking in time-varying networks", IEEE Transactions on Automatic Control
-    68(4), 2023. There the players know each other's strategies. Here they know estimates, which settle alike, and no
-    theorem covers both together. In continuous time, strategies settle within π n^{α/4}/(2 α μ) if all estimates are
-    exact and the game has a potential that is strongly convex with μ, and estimates within π (N−1)^{α/4}/(2 α κ λ)
-    after them on a fixed graph, λ being the smallest eigenvalue of the grounded Laplacians.
+    and s(v) = sign(v) (|v|^{1−α} + |v|^{1+α}) of every component in natural units: the larger power acts far from rest
+    and the smaller one near it, so one time to settle holds for all starts. J. I. Poveda, M. Krstić and T. Başar,
+    "Fixed-time Nash equilibrium seeking in time-varying networks", IEEE Transactions on Automatic Control 68(4), 2023.
+    There players know each other's strategies, here estimates, which settle alike; no theorem covers both together. In
+    continuous time, strategies settle within π n^{α/4}/(2 α μ) if all estimates are exact and the game has a strongly
+    convex potential, of constant μ, and estimates within π (N−1)^{α/4}/(2 α κ λ) after them on a fixed graph, λ being
+    the smallest eigenvalue of the grounded Laplacians.
 
     In steps of Θ the smaller power would chatter and the larger one overshoot. So no step takes a strategy further than
     a gradient step of η or 1/L, the smaller one (:func:`~ptne_env.laws.identification.see_curvature`), or an estimate
@@ -55,9 +55,7 @@ class FixedTime(RecordLaw):
         pull: FloatArray = grounded_inputs(observation, own, leaders, kappa=1.0)
         size = np.maximum(np.abs(pull) * observation.unit, _TINY)
         gains = np.where(own, 1.0, self.kappa) * (size**-self.power + size**self.power)
-        seen, degrees = see_curvature(was, observation), consensus(observation.weights, leaders + np.float64(1.0))
+        seen, degrees = see_curvature(was, observation, own), consensus(observation.weights, leaders + np.float64(1.0))
         stiffness = np.where(own, np.maximum(1 / self.step, seen.largest), np.maximum(degrees, _TINY))
-        moves = pull * np.minimum(observation.theta * gains, 1 / stiffness)
-        moves = clip_to_reach(moves, observation, self.layout)
-        moved = own_move(np.where(own, moves, 0.0), np.where(own, 0.0, moves)) * observation.unit
-        return per_step(moves, observation), self.pack((seen._replace(moved=moved),))
+        moves = clip_to_reach(pull * np.minimum(observation.theta * gains, 1 / stiffness), observation, self.layout)
+        return per_step(moves, observation), self.pack((seen._replace(moves=moves * observation.unit),))

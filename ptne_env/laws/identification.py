@@ -124,30 +124,25 @@ def identify(
 
 
 class Curvature(NamedTuple):
-    """The curvature of their own costs that R players have seen so far."""
+    """The curvature of their own costs that R players have seen, and what they saw it by, in natural units."""
 
     largest: FloatArray  # L, in units of gradient per strategy, shape (R, 1)
-    gradient: FloatArray  # own gradient in the step before, in natural units, shape (R, n)
-    moved: FloatArray  # the own move of that step, 0 where others' estimates moved more, shape (R, 1)
+    gradient: FloatArray  # own gradient in the step before, shape (R, n)
+    moves: FloatArray  # of the own estimates in that step, shape (R, n)
 
 
 def no_curvature(layout: ObservationLayout) -> Curvature:
     """Return what one player has seen before the first step."""
-    none = np.zeros((1, 1))
-    return Curvature(none, np.zeros((1, layout.dimension)), none)
+    return Curvature(np.zeros((1, 1)), *np.zeros((2, 1, layout.dimension)))
 
 
-def see_curvature(was: Curvature, observation: Observation) -> Curvature:
-    """Update L, the largest ‖Δ∂J_i/∂x_i‖_∞/‖Δx_i‖_∞ so far, of steps in which :func:`own_move` is not 0."""
+def see_curvature(was: Curvature, observation: Observation, is_own: BoolArray) -> Curvature:
+    """Update L, the largest ‖Δ∂J_i/∂x_i‖_∞/‖Δx_i‖_∞ so far, of steps in which Δx_i was the largest move."""
     gradient = observation.gradient * observation.unit
     change = largest(gradient - was.gradient) - _SEEN * RESOLUTION * (largest(gradient) + largest(was.gradient))
-    secant = np.where(was.moved > 0, change / np.where(was.moved > 0, was.moved, 1.0), 0.0)
-    return Curvature(np.maximum(was.largest, secant), gradient, was.moved)
-
-
-def own_move(own: FloatArray, others: FloatArray) -> FloatArray:
-    """Return the largest move of own components, (R, n) to (R, 1), and 0 where another component moves as far."""
-    return np.where(largest(own) > largest(others), largest(own), 0.0)
+    moved, others = largest(np.where(is_own, was.moves, 0.0)), largest(np.where(is_own, 0.0, was.moves))
+    secant = np.where(moved > others, change / np.where(moved > others, moved, 1.0), 0.0)
+    return Curvature(np.maximum(was.largest, secant), gradient, was.moves)
 
 
 def own_curvatures(

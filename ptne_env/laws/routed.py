@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptne_env.laws.base import RecordLaw, per_step
-from ptne_env.laws.identification import Curvature, clip_to_reach, no_curvature, own_move, see_curvature
+from ptne_env.laws.identification import Curvature, clip_to_reach, no_curvature, see_curvature
 from ptne_env.laws.sources import Contacts, find_sources, initial_contacts, mean_difference
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
@@ -53,9 +53,9 @@ class RoutedUnknown(RecordLaw):
         leaders, is_own = self.layout.neighbour_components[player], self.layout.own_mask[player]
         sources, contacts = find_sources(observation, was.contacts, was.steps > 0, was.drift, leaders)
         drift = mean_difference(observation, sources & ~is_own[:, None])
-        seen = see_curvature(was.curvature, observation)
+        seen = see_curvature(was.curvature, observation, is_own)
         own = observation.gradient / np.maximum(1 / self.step, seen.largest)
         asked = clip_to_reach(drift, observation, self.layout)
-        seen = seen._replace(moved=own_move(own, drift) * observation.unit)
+        seen = seen._replace(moves=(drift - own) * observation.unit)
         fresh = RoutedMemory(contacts, asked, was.steps + 1, seen)
         return per_step(drift - own, observation), self.pack(fresh)
