@@ -6,13 +6,14 @@ from affine_games import affine_scenario, loop_start, run
 from worlds import fixed_part, world_and_encoder
 
 from ptne_env import FactorySpec, laws
+from ptne_env.world import dynamics
 
 COMPLETE = fixed_part(np.ones((3, 3)) - np.eye(3))
 
 
 def separable(curvatures, offset=(1.0, -2.0, 0.5), **fields):
     """Players whose own gradients μ_i (x_i − x*_i) depend on no other player, on a complete graph."""
-    scenario = affine_scenario(np.diag(curvatures), offset, COMPLETE, input_limit=1e14, **fields)
+    scenario = affine_scenario(np.diag(curvatures), offset, COMPLETE, **{"input_limit": 1e14, **fields})
     return world_and_encoder(scenario)
 
 
@@ -32,6 +33,17 @@ def test_gradients_follow_the_solution_of_the_scalar_equation():
     exact = np.where(phases > 0, np.tan(np.maximum(phases, 0.0)) ** 2, 0.0)
     assert phases[-1].max() < 0
     assert gradients == pytest.approx(exact, abs=0.01 * gradients[0].max())
+
+
+def test_estimates_follow_signed_powers_of_consensus_errors():
+    world, encoder = separable((1.0, 1.0, 1.0), steps=2000)
+    states = run(world, encoder, laws.FixedTime(encoder.layout, kappa=3.0, power=0.25), loop_start(world), 6)[..., 0]
+    now = states[:-1]
+    errors = 3 * now - now.sum(axis=2, keepdims=True) + now - np.einsum("kii->ki", now)[..., None]  # ξ^i_j at [:, j, i]
+    expected = -3.0 * np.sign(errors) * (np.abs(errors) ** 0.75 + np.abs(errors) ** 1.25)
+    others = ~np.eye(3, dtype=bool)
+    moves = (states[1:] - now) / world.clock.theta[:6, None, None]
+    assert moves[:, others] == pytest.approx(expected[:, others], rel=1e-4)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e5])
@@ -66,10 +78,17 @@ def test_no_step_overshoots_however_long_it_is():
     assert np.all(lowest[1:] >= np.minimum(lowest[:-1], world.game.nash_equilibrium) - rounding[:, None])
 
 
-def test_steps_shorten_to_the_curvature_that_was_seen():
-    """With η = 1 and μ = 100 gradient steps would grow 99 times each."""
-    world, encoder = separable((100.0, 100.0, 100.0), steps=50)
-    states = run(world, encoder, laws.FixedTime(encoder.layout, step=1.0), loop_start(world))[..., 0]
+@pytest.mark.parametrize("input_limit", [1e14, 10.0])
+def test_steps_shorten_to_the_curvature_that_was_seen(input_limit):
+    """With η = 1 and μ = 100 gradient steps would grow 99 times each. The limit shortens moves, too."""
+    world, encoder = separable((100.0, 100.0, 100.0), steps=50, input_limit=input_limit)
+    law, memory = laws.FixedTime(encoder.layout, step=1.0), None
+    start = dynamics.initial_state(world, np.full((3, 3, 1), 20.0))
+    for estimates in run(world, encoder, law, start, steps=1):
+        state = dynamics.initial_state(world, estimates)
+        _, memory = law.predict(encoder.observe(state)[0], state=memory)
+    assert law.unpack(memory)[0].largest == pytest.approx(100.0, rel=1e-3)
+    states = run(world, encoder, law, start)[..., 0]
     assert np.abs(states[-1] - world.game.nash_equilibrium[:, None]).max() < 1e-4
 
 
