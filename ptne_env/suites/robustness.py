@@ -155,7 +155,7 @@ def _track(name: str, kinds: dict[str, str], numbers: Numbers, generator: np.ran
     troubles += [] if limit is None else [f"range {limit:g}"]
     sentence = (
         f"{players} players, {game.description}, {f'equilibria ±{scale:g}' if scale else 'x* = 0'}; {change}; "
-        f"T = {numbers['deadline']:g}, {steps} steps; starts {starts}; |u| ≤ {push:g}; "
+        f"T = {numbers['deadline']:g}, {steps} steps; starts {starts}; inputs up to {push:g}; "
         f"{', '.join(troubles) or 'a perfect channel'}."
     )
     return Track(name, scenario, sentence, episodes=EPISODES if players <= 12 else 4 if players <= 40 else 3)

@@ -71,6 +71,7 @@ def test_worlds_are_valid_and_mixed(tracks, worlds):
     for track, world in zip(tracks, worlds, strict=True):
         assert foreign_targets(track.to_dict()) == []
         assert track.change.endswith(".")
+        assert "|" not in track.change  # which would end a cell of a table
         game = world.game
         if game.is_affine:
             require_strong_monotonicity(game)  # as a world does for every draw of a family
