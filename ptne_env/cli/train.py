@@ -19,7 +19,7 @@ from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, progress, say, write_json
 from ptne_env.evaluation import METRICS
 from ptne_env.shared.names import unknown_name
-from ptne_env.suites import find_scenario
+from ptne_env.suites import find_track
 from ptne_env.suites.suite import LAW
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def train(
     digits = [summary.digits for summary in summaries.values()]
     if seeds is not None:
         say(f"Mean of {seeds} seeds: {sum(digits) / seeds:.2f} digits, from {min(digits):.2f} to {max(digits):.2f}")
-    laws = evaluate_laws(find_scenario(first.scenario))
+    laws = evaluate_laws(find_track(first.scenario))
     law = laws.summary(laws.tracks[0].name, LAW, "digits")
     if law is not None and law.mean is not None and max(digits) < law.mean:
         say(f"The paper's law, {LAW}, has {law.mean:.2f} digits on validation episodes: more --steps may beat it")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -97,25 +97,35 @@ def world_names() -> list[str]:
 
 
 def find_scenario(name: str) -> Scenario:
-    """Return a scenario by its name, that of a track such as ``"ptne-v1/liar"``, or by ``"module:object"``.
-
-    The object is a scenario, or a function without arguments that makes one.
+    """Return the scenario of :func:`find_track`.
 
     Raises:
-        ValueError: for an unknown name, an object that is not a scenario, or a track with teammates.
+        ValueError: as :func:`find_track`, and for a track with teammates.
+    """
+    track = find_track(name)
+    if track.teammates is not None:
+        raise ValueError(
+            f"track {name!r} is more than its scenario: some of its players follow a fixed policy; only "
+            f"ptne compare {name} and run_suite play it"
+        )
+    return track.scenario
+
+
+def find_track(name: str) -> Track:
+    """Return a track by its name, such as ``"ptne-v1/liar"``, or one of a scenario, by its name or ``"module:object"``.
+
+    The object is a scenario, or a function without arguments that makes one. The track names no number of episodes.
+
+    Raises:
+        ValueError: for an unknown name, or an object that is not a scenario.
     """
     suite, separator, track = name.partition("/")
     if separator:
-        named = get_suite(suite).track(track)
-        if named.teammates is not None:
-            raise ValueError(
-                f"track {name!r} is more than its scenario: some of its players follow a fixed policy; only "
-                f"ptne compare {name} and run_suite play it"
-            )
-        return named.scenario
+        return replace(get_suite(suite).track(track), episodes=None)
     if ":" not in name and name not in CATALOGUE:
         raise ValueError(unknown_name("scenario", name, world_names()))
-    return get_scenario(name)
+    scenario = get_scenario(name)
+    return Track(scenario.name, scenario, "")
 
 
 def run_suite(

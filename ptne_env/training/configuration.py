@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ptne_env.shared.arrays import require_count, require_positive, require_printable, require_probability
 from ptne_env.shared.files import DamagedFileError, read_file, read_json, write_atomically
@@ -17,6 +21,10 @@ from ptne_env.training import configurations
 
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo-rnn", "sb3-ppo")
 """The algorithms of a configuration: those of :mod:`ptne_env.training.jax_ppo`, and PPO of Stable-Baselines3."""
+
+
+LARGEST_CHECKPOINT = 1 << 30
+"""The largest number of bytes of a checkpoint that is read."""
 
 
 @dataclass(frozen=True)
@@ -159,3 +167,28 @@ def read_finished_run(configuration: Any, out: Path, policy: str) -> RunSummary 
     if not (summary.exists() and (out / policy).exists()):
         return None
     return RunSummary(**read_json(summary, "the summary of a training run"))
+
+
+def write_checkpoint(path: Path, arrays: Sequence[Any]) -> None:
+    """Write all arrays of a run that goes on."""
+    buffer = io.BytesIO()
+    np.savez(buffer, *arrays)
+    write_atomically(path, buffer.getvalue())
+
+
+def read_checkpoint(path: Path, first: Sequence[Any]) -> Sequence[Any]:
+    """Read the arrays of a checkpoint, or return those with which a run starts if there is none.
+
+    Raises:
+        DamagedFileError: when the file is damaged, or holds others; the lengths of arrays may differ.
+    """
+    if not path.exists():
+        return first
+    try:
+        with np.load(io.BytesIO(read_file(path, LARGEST_CHECKPOINT))) as file:
+            arrays = [file[name] for name in file.files]
+    except Exception as error:  # zip files raise many classes
+        raise DamagedFileError(f"{path} is damaged, or no checkpoint: remove it to start again ({error})") from error
+    if [(each.shape[1:], each.dtype) for each in arrays] != [(each.shape[1:], each.dtype) for each in first]:
+        raise DamagedFileError(f"{path} is the checkpoint of another run or version: remove it to start again")
+    return arrays

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ptne_env.evaluation import COMPARED, METRICS, POLICIES, PolicySpec, Results, evaluate
+from ptne_env.evaluation.tracks import Track
 from ptne_env.report.tables import leaders
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import read_file, write_atomically
@@ -43,22 +44,22 @@ VALIDATION_EPISODES = 200
 """The episodes on which an exported policy is validated."""
 
 
-def validate(policy: Any, scenario: Scenario) -> float:
+def validate(policy: Any, world: Scenario | Track) -> float:
     """Return the mean digits of an exported policy on the validation episodes.
 
     Raises:
         ValueError: when the policy fails on one of them.
     """
-    results = evaluate([PolicySpec("trained", policy)], [scenario], episodes=VALIDATION_EPISODES, split="validation")
+    results = evaluate([PolicySpec("trained", policy)], [world], episodes=VALIDATION_EPISODES, split="validation")
     for reason in results.failures.values():
-        raise ValueError(f"the trained policy fails on {scenario.name!r}: {reason}")
-    return float(np.mean(results.samples[scenario.name, "trained"]["digits"]))
+        raise ValueError(f"the trained policy fails on {world.name!r}: {reason}")
+    return float(np.mean(results.samples[world.name, "trained"]["digits"]))
 
 
-def evaluate_laws(scenario: Scenario, episodes: int = 20) -> Results:
-    """Evaluate the laws on validation episodes of the scenario of a training."""
+def evaluate_laws(world: Scenario | Track, episodes: int = 20) -> Results:
+    """Evaluate the laws on validation episodes of the world of a training."""
     laws = [name for name in COMPARED if POLICIES[name].is_law]
-    return evaluate(laws, [scenario], episodes=episodes, split="validation")
+    return evaluate(laws, [world], episodes=episodes, split="validation")
 
 
 def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, metric: str, laws: Results) -> None:

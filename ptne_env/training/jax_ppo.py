@@ -1,15 +1,18 @@
 """PPO compiled with the world, by a network that all players share: ``ippo``, ``ippo-rnn`` and ``mappo-rnn``.
 
 Independent learners (C. Schroeder de Witt et al., arXiv:2011.09533), feed-forward or with a gated recurrent unit, and
-multi-agent PPO (C. Yu et al., arXiv:2103.01955), whose critic sees the state. Everything from rollout to update is one
-``lax.scan``, as in PureJaxRL and JaxMARL. ``ptne train TRACK --out DIR`` runs it. ``DIR`` then holds ``policy.npz``,
-``summary.json``, ``configuration.json``, the learning curve (``evaluations.npz``) and ``checkpoint.npz``, from which
-the same command resumes an interrupted run: bit for bit, so that it ends as if nothing had happened.
+multi-agent PPO (C. Yu et al., arXiv:2103.01955), whose critic sees the state. Critics read what the actor remembers
+instead of having a memory of their own, which is twice as fast. Everything from rollout to update is one ``lax.scan``,
+as in PureJaxRL and JaxMARL.
+
+``ptne train TRACK --out DIR`` runs it. ``DIR`` then holds ``policy.npz``, ``summary.json``, ``configuration.json``, the
+learning curve (``evaluations.npz``) and ``checkpoint.npz``, from which the same command resumes an interrupted run: bit
+for bit, so that it ends as if nothing had happened.
 """
 
 from __future__ import annotations
 
-import io
+import math
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -23,13 +26,21 @@ import optax
 
 import ptne_env.jax
 from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.laws.static import static_inputs
 from ptne_env.learn.layers import Weights, is_recurrent, read_in, read_out, run_layers, update_hidden, weight_shapes
 from ptne_env.learn.npz_policy import open_policy, seal
 from ptne_env.learn.onnx_policy import Metadata
 from ptne_env.perception.fields import LOG_SCALE_UNIT
-from ptne_env.shared.files import DamagedFileError, read_file, write_atomically
-from ptne_env.suites import find_scenario
-from ptne_env.training.configuration import Configuration, RunSummary, read_finished_run, write_record
+from ptne_env.shared.files import write_atomically
+from ptne_env.suites import find_track
+from ptne_env.training.configuration import (
+    Configuration,
+    RunSummary,
+    read_checkpoint,
+    read_finished_run,
+    write_checkpoint,
+    write_record,
+)
 from ptne_env.training.curve import validate, write_learning_curve
 from ptne_env.world.dynamics import State
 
@@ -62,7 +73,7 @@ class Runner(NamedTuple):
         average: the running mean of the actor's weights, which is evaluated and exported. Its digits do not depend on
             where the last updates happened to go.
         state: the environments.
-        memory: those of actor and critic, (units, M).
+        memory: what players remember, (units, M).
         starts: whether a player's episode has just begun, (M,).
         scale: the standard deviation of returns, by which rewards are divided.
         done: the number of updates.
@@ -72,7 +83,7 @@ class Runner(NamedTuple):
     optimiser: Any
     average: Weights
     state: State
-    memory: dict[str, Any]
+    memory: Any
     starts: Any
     scale: Any
     done: Any
@@ -96,9 +107,13 @@ class Learner:
 
     def __init__(self, configuration: Configuration) -> None:
         self.configuration = configuration
-        self.world = ptne_env.jax.JaxWorld(find_scenario(configuration.scenario), seed=configuration.seed)
-        layout = self.layout = self.world.layout
-        self.members = configuration.envs * layout.num_players
+        self.track = find_track(configuration.scenario)
+        self.world = ptne_env.jax.JaxWorld(self.track.scenario, seed=configuration.seed)
+        self.layout, team = self.world.layout, self.track.teammates
+        if team is not None and team.policy.target != "law:static":
+            raise ValueError(f"teammates in training follow law:static; those of {self.track.name!r}: {team.policy}")
+        self.players = np.setdiff1d(np.arange(self.layout.num_players), [] if team is None else team.players)
+        self.members = configuration.envs * len(self.players)
         self.is_recurrent = configuration.algorithm.endswith("-rnn")
         self.sees_state = configuration.algorithm.startswith("mappo")
         self.columns = self.members * (1 if self.is_recurrent else configuration.rollout)
@@ -120,33 +135,19 @@ class Learner:
         """Return the runner before the first update."""
         configuration, layout = self.configuration, self.layout
         of_actor, of_critic, of_episodes = jax.random.split(jax.random.key(configuration.seed), 3)
-        size = layout.size + self.sees_state * (layout.dimension + layout.num_players)
-        actor = self._draw_weights(of_actor, layout.size, layout.action_size, 0.01)
+        units = configuration.hidden[-1] if self.is_recurrent else 0
+        size = layout.size + self.sees_state * (layout.dimension + layout.num_players) + units
+        shapes = weight_shapes(layout.size, configuration.hidden, layout.action_size, recurrent=self.is_recurrent)
+        actor = _draw_weights(of_actor, shapes, 0.01)
         params = {
             "actor": actor,
-            "critic": self._draw_weights(of_critic, size, 1, 1.0),
+            "critic": _draw_weights(of_critic, weight_shapes(size, configuration.hidden, 1, recurrent=False), 1.0),
             "log_std": jnp.full((layout.action_size, 1), configuration.log_std, jnp.float32),
         }
-        units = configuration.hidden[-1] if self.is_recurrent else 0
-        memory = {name: jnp.zeros((units, self.members), jnp.float32) for name in ("actor", "critic")}
+        memory = jnp.zeros((units, self.members), jnp.float32)
         state = self.world.reset(of_episodes, configuration.envs)
         starts, one = jnp.ones(self.members, bool), jnp.ones((), jnp.float32)
         return Runner(params, self.optimiser.init(params), actor, state, memory, starts, one, jnp.zeros((), int))
-
-    def _draw_weights(self, key: Any, size: int, outputs: int, gain: float) -> Weights:
-        """Draw orthogonal weights, those before a rectifier times √2, the last ones times a gain; biases are 0."""
-        shapes = weight_shapes(size, self.configuration.hidden, outputs, recurrent=self.is_recurrent)
-        gains = {"out": gain, "in": 1.0, "again": 1.0}
-        weights = {}
-        for (name, shape), each in zip(shapes.items(), jax.random.split(key, len(shapes)), strict=True):
-            draw = jax.nn.initializers.orthogonal(gains.get(name, 2**0.5), column_axis=-1)
-            if name.endswith("_bias"):
-                weights[name] = jnp.zeros(shape, jnp.float32)
-            elif len(shape) == 3:
-                weights[name] = jnp.stack([draw(key, shape[1:], jnp.float32) for key in jax.random.split(each, 3)])
-            else:
-                weights[name] = draw(each, shape, jnp.float32)
-        return weights
 
     def _train_chunk(self, runner: Runner) -> Runner:
         runner, _ = jax.lax.scan(lambda runner, _: (self._update(runner), None), runner, length=self.updates_per_chunk)
@@ -159,20 +160,19 @@ class Learner:
         of_steps, of_batches = jax.random.split(key)
         keys = jax.random.split(of_steps, configuration.rollout)
         after, steps = jax.lax.scan(self._step, runner, keys)
-        (last, _), _ = self._look(after)
+        last, _, _ = self._look(after)
         advantages = self._advantages(steps, last.values, runner.scale)
         returns = advantages + steps.values
         # Sequences of players, or single samples where nothing is remembered, are shuffled into minibatches: (C, T, …).
         batch = [each.reshape(configuration.rollout, -1, self.members) for each in (*steps, advantages, returns)]
         length = configuration.rollout if self.is_recurrent else 1
         batch = [jnp.moveaxis(each, -1, 0).reshape(self.columns, length, each.shape[1]) for each in batch]
-        memory = jax.tree.map(jnp.transpose, runner.memory)
 
         def learn(carry: Any, chosen: Any) -> tuple[Any, None]:
             params, optimiser = carry
             parts = [jnp.moveaxis(each[chosen], 0, -1) for each in batch]  # (T, …, C)
-            start = {name: each[chosen].T if self.is_recurrent else each.T for name, each in memory.items()}
-            slope = jax.grad(self._loss)(params, Steps(*parts[:-2]), *parts[-2:], start)
+            memory = runner.memory[:, chosen] if self.is_recurrent else None
+            slope = jax.grad(self._loss)(params, Steps(*parts[:-2]), *parts[-2:], memory)
             change, optimiser = self.optimiser.update(slope, optimiser, params)
             return (optax.apply_updates(params, change), optimiser), None
 
@@ -186,45 +186,62 @@ class Learner:
         scale = jnp.where(runner.done == 0, unit, SCALE_DECAY * runner.scale + (1 - SCALE_DECAY) * unit)
         return after._replace(params=params, optimiser=optimiser, average=average, scale=scale, done=runner.done + 1)
 
-    def _look(self, runner: Runner) -> tuple[tuple[Steps, Any], dict[str, Any]]:
+    def _look(self, runner: Runner) -> tuple[Steps, Any, Any]:
         """Return what players see, with their values, the means of their actions, and what they remember."""
-        observations = self.world.observe(runner.state).reshape(-1, self.members)
+        observations = self._observe(runner.state)
         seen = self._state_seen(runner.state, observations) if self.sees_state else observations[:0]
-        memory = jax.tree.map(lambda each: jnp.where(runner.starts, 0, each), runner.memory)
-        means, of_actor = run_layers(runner.params["actor"], observations, memory["actor"])
-        values, of_critic = run_layers(runner.params["critic"], jnp.concatenate([observations, seen]), memory["critic"])
+        memory = jnp.where(runner.starts, 0, runner.memory)
+        means, memory = run_layers(runner.params["actor"], observations, memory)
+        values, _ = run_layers(runner.params["critic"], _critic_sees(observations, seen, memory), None)
         nothing: Any = None
         steps = Steps(observations, seen, nothing, nothing, values[0], nothing, nothing, runner.starts)
-        return (steps, means), {"actor": of_actor, "critic": of_critic}
+        return steps, means, memory
+
+    def _observe(self, state: State) -> Any:
+        """Return the observations of the players that learn, (size, M)."""
+        return self.world.observe(state)[:, self.players].reshape(self.layout.size, -1)
 
     def _state_seen(self, state: State, observations: Any) -> Any:
         """Return what a critic of the state sees beside the observation, in ego order and of order one, (n + N, M).
 
         It is the way to the equilibrium in units of σ_i, and the logarithm of the distance of each player to it.
         """
-        layout, players = self.layout, np.arange(self.layout.num_players)
+        layout, players = self.layout, self.players
         errors = state.game.nash_equilibria[:, None] - state.estimates
-        log_scale = LOG_SCALE_UNIT * observations[layout.slices["log_scale"]].reshape(layout.num_players, -1)
-        ways = jnp.clip(errors[layout.ego_order.T, players] / 10.0**log_scale, -3, 3)
+        log_scale = LOG_SCALE_UNIT * observations[layout.slices["log_scale"]].reshape(len(players), -1)
+        ways = jnp.clip(errors[layout.ego_order[players].T, players] / 10.0**log_scale, -3, 3)
         distances = jnp.log10(jnp.maximum(jnp.sqrt((errors**2).sum(0)), 1e-12))
-        distances = (distances[(players[:, None] + players) % len(players)] - log_scale) / 2
-        return jnp.concatenate([ways, distances]).reshape(-1, self.members).astype(jnp.float32)
+        others = (np.arange(layout.num_players)[:, None] + players) % layout.num_players
+        seen = jnp.concatenate([ways, (distances[others] - log_scale) / 2])
+        return seen.reshape(-1, self.members).astype(jnp.float32)
+
+    def _act(self, state: State, actions: Any) -> State:
+        """Return the state after actions (n, M) of the players that learn; teammates follow their law."""
+        team, layout = self.track.teammates, self.layout
+        actions = actions.reshape(layout.action_size, len(self.players), -1)
+        if team is None:
+            return self.world.step(state, self.world.inputs(state, actions))
+        wanted = jnp.zeros((*actions.shape[:1], layout.num_players, actions.shape[2]), actions.dtype)
+        inputs = self.world.inputs(state, wanted.at[:, self.players].set(actions))
+        seen = layout.read(self.world.observe(state)[:, list(team.players)].T)
+        theirs = (static_inputs(seen, **dict(team.policy.arguments)) * seen.unit).T
+        limited = jnp.clip(theirs, -layout.input_limit, layout.input_limit)
+        return self.world.step(state, inputs.at[:, list(team.players)].set(limited))
 
     def _step(self, runner: Runner, key: Any) -> tuple[Runner, Steps]:
         of_actions, of_restarts = jax.random.split(key)
-        (steps, means), memory = self._look(runner)
+        steps, means, memory = self._look(runner)
         log_std = runner.params["log_std"]
         actions = means + jnp.exp(log_std) * jax.random.normal(of_actions, means.shape, jnp.float32)
-        world, state = self.world, runner.state
-        wanted = actions.reshape(-1, self.layout.num_players, self.configuration.envs)
-        after = world.step(state, world.inputs(state, wanted))
+        after = self._act(runner.state, actions)
         steps = steps._replace(
             actions=actions,
             log_probabilities=_log_probability(actions, means, log_std),
-            rewards=world.rewards(state, after).astype(jnp.float32).reshape(-1),
-            overs=jnp.tile(world.is_over(after), self.layout.num_players),
+            rewards=self.world.rewards(runner.state, after)[self.players].astype(jnp.float32).reshape(-1),
+            overs=jnp.tile(self.world.is_over(after), len(self.players)),
         )
-        return runner._replace(state=world.restarted(of_restarts, after), memory=memory, starts=steps.overs), steps
+        state = self.world.restarted(of_restarts, after)
+        return runner._replace(state=state, memory=memory, starts=steps.overs), steps
 
     def _advantages(self, steps: Steps, last_values: Any, scale: Any) -> Any:
         """Return generalised advantage estimates, (T, M); the end of an episode is a termination."""
@@ -241,33 +258,37 @@ class Learner:
 
     def _loss(self, params: Any, steps: Steps, advantages: Any, returns: Any, memory: Any) -> Any:
         """Return PPO's loss of a minibatch, whose arrays are (T, …, C)."""
-        starts = steps.starts[:, 0]
-        means = _replay(params["actor"], steps.observations, memory["actor"], starts)
-        seen = jnp.concatenate([steps.observations, steps.state_seen], axis=1)
-        values = _replay(params["critic"], seen, memory["critic"], starts)
-        actions, advantages, returns, old = (
-            jnp.moveaxis(each, 1, 0).reshape(each.shape[1], -1)
-            for each in (steps.actions, advantages, returns, steps.log_probabilities)
-        )
-        ratio = jnp.exp(_log_probability(actions, means, params["log_std"]) - old[0])
-        gain = (advantages[0] - advantages.mean()) / (advantages.std() + 1e-8)
+        means, remembered = _replay(params["actor"], steps.observations, memory, steps.starts[:, 0])
+        parts = steps.observations, steps.state_seen, steps.actions, steps.log_probabilities, advantages, returns
+        observations, seen, actions, before, gain, returns = map(_join_steps, parts)
+        values, _ = run_layers(params["critic"], _critic_sees(observations, seen, remembered), None)
+        ratio = jnp.exp(_log_probability(actions, means, params["log_std"]) - before[0])
+        gain = (gain[0] - gain.mean()) / (gain.std() + 1e-8)
         surrogate = jnp.minimum(ratio * gain, jnp.clip(ratio, 1 - CLIP, 1 + CLIP) * gain)
         return VALUE_WEIGHT * ((values - returns) ** 2).mean() - surrogate.mean()
 
     def _evaluate(self, weights: Weights) -> Any:
         """Return the digits of the mean actions on the validation episodes."""
-        players, units = self.layout.num_players, self.configuration.hidden[-1]
 
         def step(carry: Any, _: None) -> Any:
             state, memory = carry
-            observations = self.world.observe(state).reshape(self.layout.size, -1)
-            actions, memory = run_layers(weights, observations, memory)
-            inputs = self.world.inputs(state, actions.reshape(-1, players, EPISODES))
-            return (self.world.step(state, inputs), memory), None
+            actions, memory = run_layers(weights, self._observe(state), memory)
+            return (self._act(state, actions), memory), None
 
-        first = self.validation, jnp.zeros((units, players * EPISODES), jnp.float32)
+        units = self.configuration.hidden[-1]
+        first = self.validation, jnp.zeros((units, len(self.players) * EPISODES), jnp.float32)
         (state, _), _ = jax.lax.scan(step, first, length=self.world.numpy.clock.total_steps)
         return self.world.digits(state)
+
+
+def _draw_weights(key: Any, shapes: dict[str, tuple[int, ...]], gain: float) -> Weights:
+    """Draw orthogonal weights, those before a rectifier times √2, the last ones times a gain; biases are 0."""
+    gains, weights = {"out": gain, "in": 1.0, "again": 1.0}, {}
+    for (name, shape), each in zip(shapes.items(), jax.random.split(key, len(shapes)), strict=True):
+        draw = jax.nn.initializers.orthogonal(gains.get(name, 2**0.5))
+        stack = [draw(one, shape[-2:], jnp.float32) for one in jax.random.split(each, math.prod(shape[:-2]))]
+        weights[name] = jnp.zeros(shape, jnp.float32) if name.endswith("bias") else jnp.stack(stack).reshape(shape)
+    return weights
 
 
 def _log_probability(actions: Any, means: Any, log_std: Any) -> Any:
@@ -275,21 +296,35 @@ def _log_probability(actions: Any, means: Any, log_std: Any) -> Any:
     return -(0.5 * ((actions - means) * jnp.exp(-log_std)) ** 2 + log_std).sum(0)
 
 
-def _replay(weights: Weights, observations: Any, memory: Any, starts: Any) -> Any:
-    """Return the outputs of a network for observations (T, size, C) from a memory (units, C), (outputs, T·C)."""
+def _critic_sees(observations: Any, state_seen: Any, memory: Any) -> Any:
+    """Return what a critic sees: it does not teach the actor what to remember."""
+    return jnp.concatenate([observations, state_seen, jax.lax.stop_gradient(memory)])
+
+
+def _join_steps(array: Any) -> Any:
+    """Return (T, size, C) as (size, T·C)."""
+    steps, size, columns = array.shape
+    return jnp.moveaxis(array, 1, 0).reshape(size, steps * columns)
+
+
+def _replay(weights: Weights, observations: Any, memory: Any, starts: Any) -> tuple[Any, Any]:
+    """Return the outputs of a network for observations (T, size, C) from a memory (units, C), and what it remembers.
+
+    The shapes are (outputs, T·C) and (units, T·C), with no units for a network without memory.
+    """
     length, _, columns = observations.shape
-    hidden = read_in(weights, jnp.moveaxis(observations, 1, 0).reshape(-1, length * columns))
-    if is_recurrent(weights):
+    hidden = read_in(weights, _join_steps(observations))
+    if not is_recurrent(weights):
+        return read_out(weights, hidden), hidden[:0]
 
-        def remember(memory: Any, step: Any) -> Any:
-            inputs, start = step
-            memory = update_hidden(inputs, weights["again"], jnp.where(start, 0, memory))
-            return memory, memory
+    def remember(memory: Any, step: Any) -> Any:
+        inputs, start = step
+        memory = update_hidden(inputs, weights["again"], jnp.where(start, 0, memory))
+        return memory, memory
 
-        inputs = jnp.moveaxis(hidden.reshape(*hidden.shape[:2], length, columns), 2, 0)
-        _, hidden = jax.lax.scan(remember, memory, (inputs, starts))
-        hidden = jnp.moveaxis(hidden, 1, 0).reshape(-1, length * columns)
-    return read_out(weights, hidden)
+    inputs = jnp.moveaxis(hidden.reshape(*hidden.shape[:2], length, columns), 2, 0)
+    remembered = _join_steps(jax.lax.scan(remember, memory, (inputs, starts))[1])
+    return read_out(weights, remembered), remembered
 
 
 def train(
@@ -313,14 +348,16 @@ def train(
     jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
     began = monotonic()
     learner = Learner(configuration)
-    runner, curve = _restore(learner.start(), out / CHECKPOINT)
+    leaves, structure = jax.tree.flatten(learner.start())
+    curve, *leaves = read_checkpoint(out / CHECKPOINT, [np.empty((0, EPISODES)), *leaves])
+    runner = jax.tree.unflatten(structure, map(jnp.asarray, leaves))
     write_record(out / "configuration.json", configuration)
     chunk = learner.updates_per_chunk * configuration.rollout * learner.members
     resumed_at = len(curve) * chunk
     while len(curve) < learner.chunks:
         runner = learner.train_chunk(runner)
         curve = np.append(curve, [learner.evaluate(runner.average)], axis=0)
-        _save(runner, curve, out / CHECKPOINT)
+        write_checkpoint(out / CHECKPOINT, [curve, *jax.tree.leaves(runner)])
         write_learning_curve(out, np.arange(1, len(curve) + 1) * chunk, curve)
         if progress is not None:
             progress(len(curve) * chunk, learner.chunks * chunk, float(curve[-1].mean()))
@@ -329,30 +366,8 @@ def train(
         interface=layout.interface, action_dims=layout.action_dims, slots=layout.slots, training=asdict(configuration)
     )
     content = seal(jax.tree.map(np.asarray, runner.average), metadata)
-    digits = validate(open_policy(Path(POLICY), content), learner.world.numpy.scenario)
+    digits = validate(open_policy(Path(POLICY), content), learner.track)
     write_atomically(out / POLICY, content)
     summary = RunSummary(len(curve) * chunk, resumed_at, monotonic() - began, digits)
     write_record(out / "summary.json", summary)
     return summary
-
-
-def _save(runner: Runner, curve: Any, path: Path) -> None:
-    """Write a checkpoint: all arrays of the runner, and the digits of the evaluations so far."""
-    buffer = io.BytesIO()
-    np.savez(buffer, curve, *jax.tree.leaves(runner))
-    write_atomically(path, buffer.getvalue())
-
-
-def _restore(runner: Runner, path: Path) -> tuple[Runner, Any]:
-    """Return the runner and curve of a checkpoint, or the given runner and an empty curve if there is none."""
-    if not path.exists():
-        return runner, np.empty((0, EPISODES))
-    expected, structure = jax.tree.flatten(runner)
-    try:
-        with np.load(io.BytesIO(read_file(path, 1 << 30))) as file:
-            curve, *leaves = (file[name] for name in file.files)
-    except Exception as error:  # zip files raise many classes
-        raise DamagedFileError(f"{path} is damaged, or no checkpoint: remove it to start again ({error})") from error
-    if [(each.shape, each.dtype) for each in leaves] != [(each.shape, each.dtype) for each in expected]:
-        raise DamagedFileError(f"{path} is the checkpoint of another run or version: remove it to start again")
-    return jax.tree.unflatten(structure, [jnp.asarray(each) for each in leaves]), curve

@@ -13,7 +13,7 @@ import ptne_env
 from ptne_env.learn import PolicyFileError, layers, load, npz_policy
 from ptne_env.learn.layers import LayeredPolicy
 from ptne_env.training import curve, jax_ppo
-from ptne_env.training.configuration import Configuration
+from ptne_env.training.configuration import Configuration, write_checkpoint
 from ptne_env.training.curve import read_learning_curve
 
 SCENARIO = ptne_env.get_scenario("random-energy-switching", steps=15)
@@ -66,14 +66,13 @@ def test_an_interrupted_run_ends_bit_for_bit_as_an_uninterrupted_one(algorithm, 
 
 
 def test_a_damaged_or_foreign_checkpoint_is_refused_by_name(tmp_path):
-    runner = learner().start()
     path = tmp_path / "checkpoint.npz"
     path.write_bytes(b"PK")
     with pytest.raises(ValueError, match=r"checkpoint\.npz is damaged, or no checkpoint: remove it"):
-        jax_ppo._restore(runner, path)
-    jax_ppo._save(learner(envs=8).start(), np.empty((0, 50)), path)
+        jax_ppo.train(SHORT, tmp_path)
+    write_checkpoint(path, [np.zeros(3)])
     with pytest.raises(ValueError, match=r"checkpoint\.npz is the checkpoint of another run or version: remove it"):
-        jax_ppo._restore(runner, path)
+        jax_ppo.train(SHORT, tmp_path)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -111,6 +110,23 @@ def test_a_layered_file_with_weights_of_another_network_is_refused(tmp_path):
         load(tmp_path / "policy.npz", ptne_env.parallel_env("robots").layout)
 
 
+def test_teammates_follow_their_law_in_training_and_do_not_learn():
+    it = learner("mappo-rnn", scenario="ptne-v1/strangers", envs=2)
+    runner, expected = it.start(), ptne_env.jax.JaxWorld(it.track.scenario, interface="physical")
+    _, steps = jax.lax.scan(it._step, runner, jax.random.split(jax.random.key(1), 3))
+    assert steps.observations.shape == (3, it.layout.size, 8)
+    actions = steps.actions[0].reshape(5, 4, 2)
+    after = it._act(runner.state, steps.actions[0])
+    team = ptne_env.jax.static(expected.layout, kappa=0.4)
+    seen = expected.observe(runner.state)[:, 3]
+    theirs = jax.vmap(lambda row: team.act(team.params, row, ())[0], -1, -1)(seen)
+    theta = it.world.numpy.clock.theta[0]
+    moved = (after.estimates - runner.state.estimates) / theta
+    np.testing.assert_allclose(moved[:, 3], np.clip(theirs, -it.layout.input_limit, it.layout.input_limit), rtol=1e-4)
+    alone = it.world.inputs(runner.state, np.insert(actions, 3, 0, axis=1))
+    np.testing.assert_allclose(moved[:, [0, 1, 2, 4]], alone[:, [0, 1, 2, 4]], rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_network_replays_a_rollout_with_its_memory_and_the_starts_of_episodes(algorithm):
     it = learner(algorithm)
@@ -119,7 +135,7 @@ def test_a_network_replays_a_rollout_with_its_memory_and_the_starts_of_episodes(
     _, steps = jax.lax.scan(it._step, runner, jax.random.split(jax.random.key(2), 10))
     assert steps.starts[1:].any()  # an episode starts within the rollout
     assert not steps.starts[0].any()  # so that the first memory matters
-    means = jax_ppo._replay(runner.params["actor"], steps.observations, runner.memory["actor"], steps.starts)
+    means, _ = jax_ppo._replay(runner.params["actor"], steps.observations, runner.memory, steps.starts)
     actions = np.moveaxis(steps.actions, 1, 0).reshape(5, -1)
     again = jax_ppo._log_probability(actions, means, runner.params["log_std"])
     np.testing.assert_allclose(again, steps.log_probabilities.reshape(-1), rtol=1e-4, atol=1e-4)
@@ -141,7 +157,7 @@ def test_the_critic_of_mappo_alone_sees_the_way_to_the_equilibrium_and_all_dista
     assert jax.eval_shape(learner()._start).params["critic"]["layer_0"].shape == (8, learner().layout.size)
     it = learner("mappo-rnn")
     runner = it.start()
-    assert runner.params["critic"]["layer_0"].shape == (8, it.layout.size + 10)
+    assert runner.params["critic"]["layer_0"].shape == (8, it.layout.size + 10 + 6)
     assert runner.params["actor"]["layer_0"].shape == (8, it.layout.size)
     observations = it.world.observe(runner.state)
     seen = it._state_seen(runner.state, observations.reshape(-1, 20)).reshape(10, 5, 4)
@@ -162,7 +178,9 @@ def test_seeds_share_no_episode():
 
 
 def test_a_run_gains_digits(tmp_path):
-    jax_ppo.train(dataclasses.replace(SHORT, steps=40_000, envs=8, minibatches=4, learning_rate=0.003), tmp_path)
+    jax_ppo.train(
+        dataclasses.replace(SHORT, steps=40_000, envs=8, minibatches=4, hidden=(32, 32), log_std=-1.5), tmp_path
+    )
     digits = read_learning_curve(tmp_path)[1]
     assert digits[-1] > digits[0] + 0.3
 
