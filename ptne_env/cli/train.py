@@ -175,7 +175,7 @@ def _say_result(policy: Path, summary: RunSummary, trainer: ModuleType, *, was_f
     flat = "" if gained < FLAT else ": more --steps gain more"
     say(f"{digits}, after {summary.seconds:.0f} s; {policy.name} written to {policy.parent}")
     say(f"The last fifth of the training gained {gained:.2f} digits{flat}")
-    if summary.resumed_at and not trainer.RESUMES_EXACTLY:
+    if summary.resumed_at and trainer.__name__ != "ptne_env.training.jax_ppo":  # which resumes bit for bit
         unit = "updates" if through_world else "agent-steps"
         say(
             f"The run was resumed at {summary.resumed_at} {unit}: the policy is not that of an uninterrupted run, "

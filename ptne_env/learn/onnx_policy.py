@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ptne_env.perception.observation import Interface
+from ptne_env.perception.observation import Interface, ObservationLayout
 from ptne_env.perception.policy import BLOCK, NetworkPolicy, PolicyFileError
 from ptne_env.shared.arrays import Float32Array, require_count
 
@@ -61,6 +61,11 @@ class Metadata:
         require_count("layout_version", self.layout_version, 0)
         for dim in self.action_dims:
             require_count("action_dims", dim, 1)
+
+    @classmethod
+    def of(cls, layout: ObservationLayout, training: Mapping[str, Any]) -> Metadata:
+        """Describe a policy that was trained with a layout."""
+        return cls(interface=layout.interface, action_dims=layout.action_dims, slots=layout.slots, training=training)
 
     def to_json(self) -> str:
         """Return the description as a JSON text."""

@@ -50,15 +50,11 @@ POLICY, CHECKPOINT = "policy.npz", "checkpoint.npz"
 CURVE = "digits"
 """The metric of the learning curve."""
 
-RESUMES_EXACTLY = True
-"""Whether a resumed run ends as if it had not been interrupted."""
-
 EVALUATIONS, EPISODES = 20, 50
 """The number of evaluations, and of checkpoints, in a run; and the validation episodes of each."""
 
 CLIP, GAE_LAMBDA, VALUE_WEIGHT, LARGEST_NORM = 0.2, 0.9, 0.5, 0.5
-"""The settings of PPO that are as in Stable-Baselines3 and not tuned: ε, λ, the weight of the value's loss, and the
-norm to which gradients are cut."""
+"""What is not tuned: ε, λ, the weight of the value's loss, and the norm to which gradients are cut."""
 
 AVERAGED_UPDATES, SCALE_DECAY = 50, 0.95
 """The updates over which weights are averaged; and the decay per update of the running unit of returns."""
@@ -70,8 +66,7 @@ class Runner(NamedTuple):
     Attributes:
         params: the weights of ``actor`` and ``critic``, and ``log_std`` of the actions (n,).
         optimiser: the moments of Adam.
-        average: the running mean of the actor's weights, which is evaluated and exported. Its digits do not depend on
-            where the last updates happened to go.
+        average: the running mean of the actor's weights, which is evaluated and exported.
         state: the environments.
         memory: what players remember, (units, M).
         starts: whether a player's episode has just begun, (M,).
@@ -94,12 +89,12 @@ class Steps(NamedTuple):
 
     observations: Any
     state_seen: Any
-    actions: Any
-    log_probabilities: Any
-    values: Any
-    rewards: Any
-    overs: Any
     starts: Any
+    values: Any
+    actions: Any = None
+    log_probabilities: Any = None
+    rewards: Any = None
+    overs: Any = None
 
 
 class Learner:
@@ -126,10 +121,9 @@ class Learner:
         total = self.chunks * self.updates_per_chunk * configuration.epochs * configuration.minibatches
         rate = optax.linear_schedule(configuration.learning_rate, 0.0, total)
         self.optimiser = optax.chain(optax.clip_by_global_norm(LARGEST_NORM), optax.adam(rate, eps=1e-5))
-        validation = EpisodeSet(EPISODES, split="validation")
-        self.validation = self.world.state(validation.initial_state(self.world.numpy))
-        self.start, self.train_chunk = jax.jit(self._start), jax.jit(self._train_chunk)
-        self.evaluate = jax.jit(self._evaluate)
+        self.validation = self.world.state(EpisodeSet(EPISODES, split="validation").initial_state(self.world.numpy))
+        self.start, self.evaluate = jax.jit(self._start), jax.jit(self._evaluate)
+        self.train_chunk = jax.jit(lambda runner: jax.lax.scan(self._update, runner, length=self.updates_per_chunk)[0])
 
     def _start(self) -> Runner:
         """Return the runner before the first update."""
@@ -149,11 +143,7 @@ class Learner:
         starts, one = jnp.ones(self.members, bool), jnp.ones((), jnp.float32)
         return Runner(params, self.optimiser.init(params), actor, state, memory, starts, one, jnp.zeros((), int))
 
-    def _train_chunk(self, runner: Runner) -> Runner:
-        runner, _ = jax.lax.scan(lambda runner, _: (self._update(runner), None), runner, length=self.updates_per_chunk)
-        return runner
-
-    def _update(self, runner: Runner) -> Runner:
+    def _update(self, runner: Runner, _: None = None) -> tuple[Runner, None]:
         """Play a rollout, and learn from it."""
         configuration = self.configuration
         key = jax.random.fold_in(jax.random.key(configuration.seed), runner.done)
@@ -184,7 +174,8 @@ class Learner:
         average = jax.tree.map(lambda old, new: old + share * (new - old), runner.average, params["actor"])
         unit = (returns * runner.scale).std()
         scale = jnp.where(runner.done == 0, unit, SCALE_DECAY * runner.scale + (1 - SCALE_DECAY) * unit)
-        return after._replace(params=params, optimiser=optimiser, average=average, scale=scale, done=runner.done + 1)
+        done = runner.done + 1
+        return after._replace(params=params, optimiser=optimiser, average=average, scale=scale, done=done), None
 
     def _look(self, runner: Runner) -> tuple[Steps, Any, Any]:
         """Return what players see, with their values, the means of their actions, and what they remember."""
@@ -193,9 +184,7 @@ class Learner:
         memory = jnp.where(runner.starts, 0, runner.memory)
         means, memory = run_layers(runner.params["actor"], observations, memory)
         values, _ = run_layers(runner.params["critic"], _critic_sees(observations, seen, memory), None)
-        nothing: Any = None
-        steps = Steps(observations, seen, nothing, nothing, values[0], nothing, nothing, runner.starts)
-        return steps, means, memory
+        return Steps(observations, seen, runner.starts, values[0]), means, memory
 
     def _observe(self, state: State) -> Any:
         """Return the observations of the players that learn, (size, M)."""
@@ -206,12 +195,11 @@ class Learner:
 
         It is the way to the equilibrium in units of σ_i, and the logarithm of the distance of each player to it.
         """
-        layout, players = self.layout, self.players
-        errors = state.game.nash_equilibria[:, None] - state.estimates
-        log_scale = LOG_SCALE_UNIT * observations[layout.slices["log_scale"]].reshape(len(players), -1)
-        ways = jnp.clip(errors[layout.ego_order[players].T, players] / 10.0**log_scale, -3, 3)
+        errors, players = state.game.nash_equilibria[:, None] - state.estimates, self.players
+        log_scale = LOG_SCALE_UNIT * observations[self.layout.slices["log_scale"]].reshape(len(players), -1)
+        ways = jnp.clip(errors[self.layout.ego_order[players].T, players] / 10.0**log_scale, -3, 3)
         distances = jnp.log10(jnp.maximum(jnp.sqrt((errors**2).sum(0)), 1e-12))
-        others = (np.arange(layout.num_players)[:, None] + players) % layout.num_players
+        others = (np.arange(self.layout.num_players)[:, None] + players) % self.layout.num_players
         seen = jnp.concatenate([ways, (distances[others] - log_scale) / 2])
         return seen.reshape(-1, self.members).astype(jnp.float32)
 
@@ -330,14 +318,7 @@ def _replay(weights: Weights, observations: Any, memory: Any, starts: Any) -> tu
 def train(
     configuration: Configuration, out: Path, progress: Callable[[int, int, float], None] | None = None
 ) -> RunSummary:
-    """Train, validate and export, and return the summary; resume an interrupted run. A finished one is not repeated.
-
-    64-bit numbers of JAX are switched on.
-
-    Args:
-        configuration: the definition of the run.
-        out: the folder for all files of the run; made if missing.
-        progress: a function to call after every evaluation with the agent-steps done, their total, and the digits.
+    """Train, as :func:`ptne_env.training.ppo.train` does and with its arguments; 64-bit numbers of JAX are switched on.
 
     Raises:
         ValueError: for values that do not fit each other, for an unknown scenario, when ``out`` holds a run with
@@ -361,11 +342,7 @@ def train(
         write_learning_curve(out, np.arange(1, len(curve) + 1) * chunk, curve)
         if progress is not None:
             progress(len(curve) * chunk, learner.chunks * chunk, float(curve[-1].mean()))
-    layout = learner.layout
-    metadata = Metadata(
-        interface=layout.interface, action_dims=layout.action_dims, slots=layout.slots, training=asdict(configuration)
-    )
-    content = seal(jax.tree.map(np.asarray, runner.average), metadata)
+    content = seal(runner.average, Metadata.of(learner.layout, asdict(configuration)))
     digits = validate(open_policy(Path(POLICY), content), learner.track)
     write_atomically(out / POLICY, content)
     summary = RunSummary(len(curve) * chunk, resumed_at, monotonic() - began, digits)

@@ -49,9 +49,6 @@ POLICY = "policy.onnx"
 CURVE = "digits_gained"
 """The metric of the learning curve."""
 
-RESUMES_EXACTLY = False
-"""Whether a resumed run ends as if it had not been interrupted."""
-
 Progress = Callable[[int, int, float], None]
 """A function of the agent-steps done, their total, and the mean digits gained in the last evaluation (-inf before)."""
 
@@ -170,9 +167,6 @@ def to_onnx(model: BaseAlgorithm, layout: ObservationLayout, **training: Any) ->
     content = io.BytesIO()
     training |= {"ptne_env": __version__}
     training |= {library.__name__: library.__version__ for library in (stable_baselines3, torch, np)}
-    metadata = Metadata(
-        interface=layout.interface, action_dims=layout.action_dims, slots=layout.slots, training=training
-    )
     rows = np.random.default_rng(0).standard_normal((100, layout.size)).astype(np.float32)
     try:
         expected, _ = as_trained(model).predict(rows, deterministic=True)
@@ -188,7 +182,7 @@ def to_onnx(model: BaseAlgorithm, layout: ObservationLayout, **training: Any) ->
                 dynamic_axes={"observation": {0: "rows"}, "action": {0: "rows"}},
                 dynamo=False,
             )
-        exported = seal(onnx.load_from_string(content.getvalue()), metadata)
+        exported = seal(onnx.load_from_string(content.getvalue()), Metadata.of(layout, training))
         actions, _ = open_policy(Path(POLICY), exported).predict(rows)
         tolerance = 1e-4 * max(1.0, float(np.abs(expected).max()))
         np.testing.assert_allclose(actions, expected, rtol=1e-4, atol=tolerance, equal_nan=False)

@@ -51,9 +51,6 @@ POLICY = "policy.npz"
 CURVE = "digits"
 """The metric of the learning curve."""
 
-RESUMES_EXACTLY = False
-"""Whether a resumed run ends as if it had not been interrupted."""
-
 
 @dataclass(frozen=True)
 class Settings:

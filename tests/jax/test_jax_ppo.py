@@ -145,7 +145,7 @@ def test_advantages_are_discounted_sums_of_errors_that_end_with_episodes():
     it, rng = learner(discount=0.5), np.random.default_rng(0)
     rewards, values = rng.normal(size=(2, 10, 20)).astype(np.float32)
     overs, last = rng.random((10, 20)) < 0.2, rng.normal(size=20).astype(np.float32)
-    steps = jax_ppo.Steps(*[None] * 4, values, rewards, overs, None)
+    steps = jax_ppo.Steps(None, None, None, values, rewards=rewards, overs=overs)
     after, expected = np.concatenate([values[1:], last[None]]), np.zeros((11, 20))
     for t in reversed(range(10)):
         error = rewards[t] / 2 + 0.5 * after[t] * ~overs[t] - values[t]
