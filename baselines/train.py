@@ -1,7 +1,7 @@
 """Train every shipped configuration, and ship the policies: ``python -m baselines.train [--out runs]``.
 
 A run that is in the folder already is not repeated. It takes some minutes; each policy goes to
-``ptne_env/learn/ppo-CONFIGURATION.onnx``.
+``ptne_env/learn/ppo-CONFIGURATION.npz``.
 """
 
 import argparse
@@ -17,7 +17,7 @@ def main(out: Path) -> None:
     """Train and copy."""
     for name in configurations():
         summary = ppo.train(Configuration.from_toml(name), out / name)
-        shutil.copyfile(out / name / "policy.onnx", Path(learn.__file__).parent / f"ppo-{name}.onnx")
+        shutil.copyfile(out / name / "policy.npz", Path(learn.__file__).parent / f"ppo-{name}.npz")
         print(f"ppo-{name}: {summary.digits:.2f} digits")
 
 

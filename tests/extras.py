@@ -8,11 +8,6 @@ def need_sb3(module="torch"):
     return pytest.importorskip(module, reason="needs the extra 'sb3': pip install 'ptne-env[sb3]'")
 
 
-def need_onnx():
-    """Skip what asks, unless the extra ``bench`` is installed."""
-    return pytest.importorskip("onnxruntime", reason="needs the extra 'bench': pip install 'ptne-env[bench]'")
-
-
 def need_matplotlib():
     """Skip what asks, unless the extra ``bench`` is installed, for pictures."""
     return pytest.importorskip("matplotlib", reason="needs the extra 'bench': pip install 'ptne-env[bench]'")

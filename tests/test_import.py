@@ -16,7 +16,7 @@ import ptne_env
 
 SOURCE = Path(ptne_env.__file__)
 HEAVY = (
-    *("torch", "matplotlib", "scipy.stats", "stable_baselines3", "pandas", "onnxruntime", "networkx"),
+    *("torch", "matplotlib", "scipy.stats", "stable_baselines3", "pandas", "networkx"),
     *("jax", "torchrl", "tensordict"),
 )
 

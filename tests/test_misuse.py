@@ -111,7 +111,7 @@ MISUSES = {
     "evaluate('no.such.module:thing', 'energy')": "cannot import",
     "evaluate('ptne_env.laws:NoSuchLaw', 'energy')": "has no 'NoSuchLaw'",
     "evaluate('static', 'builtins:dict')": "is a dict, not a Scenario",
-    "evaluate('mine.onnx', 'energy')": "there is no file 'mine.onnx'",
+    "evaluate('mine.npz', 'energy')": "there is no file 'mine.npz'",
     "evaluate('static', 'energy', episodes=True)": "episodes must be a whole number of at least 1, got True",
     "evaluate('static', 'energy', seed=2**32)": r"a seed is below 2\^32",
     "evaluate('static', 'energy', seed=-1)": "seed must be a whole number of at least 0, got -1",

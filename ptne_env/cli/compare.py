@@ -59,7 +59,7 @@ def compare(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="A policy by name, an .onnx or .npz file, a Stable-Baselines3 .zip, a 'module:object' that is called "
+            help="A policy by name, an .npz file, a Stable-Baselines3 .zip, a 'module:object' that is called "
             "with the layout and returns something with predict(), or 'name=pattern' for the files of several training "
             "seeds. Separate policies by commas, or repeat the option. If left out: every policy that 'ptne list' "
             "shows but specialists; on scenarios, the paper's laws, references, the strongest laws and learned "

@@ -30,8 +30,7 @@ PolicyArgument: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="POLICY",
-        help="A policy by name, or an .onnx or .npz file; a Stable-Baselines3 .zip and a 'module:object' run their own "
-        "code.",
+        help="A policy by name, or an .npz file; a Stable-Baselines3 .zip and a 'module:object' run their own code.",
         autocompletion=lambda: list(POLICIES),
     ),
 ]
@@ -94,7 +93,7 @@ def foreign_names(*names: str | None) -> list[str]:
         target = name.partition("/")[0]
         if path.endswith(".zip"):
             foreign.append(path)
-        elif ":" in target and not path.endswith((".onnx", ".npz")) and not is_part(target):
+        elif ":" in target and not path.endswith(".npz") and not is_part(target):
             foreign.append(target)
     return foreign
 

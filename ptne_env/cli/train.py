@@ -85,7 +85,7 @@ def train(
     *,
     trust: options.TrustOption = False,
 ) -> None:
-    """Train a policy and export it as policy.npz, or as policy.onnx with sb3-ppo.
+    """Train a policy and export it as policy.npz.
 
     Says how many digits the last fifth of the training gained, draws the learning curve, learning-curve.png, beside the
     digits of the paper's law and of the best law, and prints the command that compares the policy.

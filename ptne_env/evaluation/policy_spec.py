@@ -233,9 +233,9 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
     whose arguments may be copied from elsewhere, asks first.
 
     Args:
-        policy: a name of :data:`POLICIES`, an ``.onnx`` or ``.npz`` file, a Stable-Baselines3 ``.zip``, the id of a
+        policy: a name of :data:`POLICIES`, an ``.npz`` file, a Stable-Baselines3 ``.zip``, the id of a
             law (``"law:grounded"``) or a ``"module:object"`` that is called with the layout, or ``"name=pattern"``
-            (such as ``"mine=runs/seed-*/policy.onnx"``), whose files are the training seeds of one policy; or an object
+            (such as ``"mine=runs/seed-*/policy.npz"``), whose files are the training seeds of one policy; or an object
             or class with ``predict``, whose class gives the name.
         trust: whether code that is stored in a ``.zip`` may be executed.
 
@@ -267,7 +267,7 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
         return PolicySpec(Path(policy).stem, _spec_of_file(policy, trust=trust))
     if ":" in policy:
         return PolicySpec(policy, FactorySpec.of(policy))
-    raise ValueError(unknown_name("policy", policy, POLICIES, "an .onnx or .npz file or a 'module:object'"))
+    raise ValueError(unknown_name("policy", policy, POLICIES, "an .npz file or a 'module:object'"))
 
 
 def _spec_of_file(path: str, *, trust: bool) -> FactorySpec:
@@ -275,7 +275,7 @@ def _spec_of_file(path: str, *, trust: bool) -> FactorySpec:
     require_file(path)
     formats = [each for each in FORMATS if path.endswith(each.endings)]
     if not formats:
-        raise ValueError(f"{path!r} is no policy: policy files end in .onnx, .npz or .zip")
+        raise ValueError(f"{path!r} is no policy: policy files end in .npz or .zip")
     if formats[0].executes_code and not require_flag("trust", trust):
         raise ValueError(
             f"loading {path!r} executes code that is stored in it; if you trust it: "

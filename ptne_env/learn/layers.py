@@ -1,26 +1,92 @@
 """Networks of layers, feed-forward or with a gated recurrent unit, for numpy and JAX; numpy plays them.
 
-PPO on JAX (:mod:`ptne_env.training.jax_ppo`) trains them. The first axis of an array holds F features, the last one M
-players, those of all environments.
+PPO trains them, on JAX (:mod:`ptne_env.training.jax_ppo`) or of Stable-Baselines3 (:mod:`ptne_env.training.ppo`). The
+first axis of an array holds F features, the last one M players, those of all environments.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from itertools import takewhile
 from typing import Any
 
 import numpy as np
 
-from ptne_env.learn.onnx_policy import Metadata
+from ptne_env.perception.observation import Interface, ObservationLayout
 from ptne_env.perception.policy import RowPolicy
-from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, is_numpy
+from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, is_numpy, require_count
 
 Weights = dict[str, Any]
 """The weights of a network by name; float32 arrays of numpy or JAX."""
 
 LAYERS = tuple(f"layer_{number}" for number in range(8))
-"""The names of rectified layers, in their order; a network has the first of them. Each has a bias, ``layer_0_bias``."""
+"""The names of hidden layers, in their order; a network has the first of them. Each has a bias, ``layer_0_bias``."""
+
+ACTIVATIONS = "relu", "tanh"
+"""The functions that hidden layers may end with."""
+
+LAYOUT_VERSION = 1
+"""The version of the meaning of observations and actions; files of another version are refused."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metadata:
+    """The description of a network of layers in a policy file.
+
+    Attributes:
+        interface: the interface of the policy.
+        action_dims: n_i of each player with which it was trained.
+        slots: D, the number of neighbour slots per player.
+        training: how it was trained, such as scenario, agent-steps, seed and versions; nothing depends on it.
+        activation: the function of its hidden layers, one of :data:`ACTIVATIONS`.
+        layout_version: the version of the meaning of observations and actions.
+
+    Raises:
+        ValueError, TypeError: when a value has a wrong type, is out of range, or is of another layout version.
+    """
+
+    interface: Interface
+    action_dims: tuple[int, ...]
+    slots: int
+    training: Mapping[str, Any]
+    activation: str = "relu"
+    layout_version: int = LAYOUT_VERSION
+
+    def __post_init__(self) -> None:
+        require_count("slots", self.slots, 0)
+        for dim in self.action_dims:
+            require_count("action_dims", dim, 1)
+        if self.activation not in ACTIVATIONS:
+            raise ValueError(f"activation must be {' or '.join(ACTIVATIONS)}, got {self.activation!r}")
+        if self.layout_version != LAYOUT_VERSION:
+            raise ValueError(
+                f"the policy was made for layout version {self.layout_version}, this library has {LAYOUT_VERSION}; "
+                "use the version of ptne_env that made it, or train it again"
+            )
+
+    @classmethod
+    def of(cls, layout: ObservationLayout, training: Mapping[str, Any], activation: str = "relu") -> Metadata:
+        """Describe a policy that was trained with a layout."""
+        return cls(
+            interface=layout.interface,
+            action_dims=layout.action_dims,
+            slots=layout.slots,
+            training=training,
+            activation=activation,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the description as a JSON object."""
+        interface = self.interface.to_dict()
+        return asdict(self) | {"interface": interface["kind"] if interface.keys() == {"kind"} else interface}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Metadata:
+        """Read what :meth:`to_dict` returned."""
+        interface = data["interface"]
+        interface = Interface.from_dict(interface) if isinstance(interface, dict) else Interface(interface)
+        return cls(**{**data, "interface": interface, "action_dims": tuple(data["action_dims"])})
 
 
 def weight_shapes(size: int, hidden: tuple[int, ...], outputs: int, *, recurrent: bool) -> dict[str, tuple[int, ...]]:
@@ -34,8 +100,8 @@ def weight_shapes(size: int, hidden: tuple[int, ...], outputs: int, *, recurrent
     """
     *sizes, last = size, *hidden
     shapes: dict[str, tuple[int, ...]] = {}
-    rectified = zip(LAYERS, sizes, [*sizes[1:], *([] if recurrent else [last])], strict=False)
-    for name, before, after in rectified:
+    feed_forward = zip(LAYERS, sizes, [*sizes[1:], *([] if recurrent else [last])], strict=False)
+    for name, before, after in feed_forward:
         shapes |= {name: (after, before), f"{name}_bias": (after, 1)}
     if recurrent:
         shapes |= {"in": (3, last, sizes[-1]), "in_bias": (3, last, 1), "again": (3, last, last)}
@@ -47,11 +113,12 @@ def is_recurrent(weights: Weights) -> bool:
     return "again" in weights
 
 
-def read_in(weights: Weights, array: Any) -> Any:
+def read_in(weights: Weights, array: Any, activation: str = "relu") -> Any:
     """Apply what comes before the memory: (F, M) to (units, M), or to the inputs (3, units, M) of a recurrent unit."""
     xp = array_namespace(array)
     for name in takewhile(weights.__contains__, LAYERS):
-        array = xp.maximum(apply_weights(weights[name], array) + weights[f"{name}_bias"], 0)
+        array = apply_weights(weights[name], array) + weights[f"{name}_bias"]
+        array = xp.tanh(array) if activation == "tanh" else xp.maximum(array, 0)
     return apply_weights(weights["in"], array) + weights["in_bias"] if is_recurrent(weights) else array
 
 
@@ -60,12 +127,12 @@ def read_out(weights: Weights, hidden: Any) -> Any:
     return apply_weights(weights["out"], hidden) + weights["out_bias"]
 
 
-def run_layers(weights: Weights, observations: Any, memory: Any) -> tuple[Any, Any]:
+def run_layers(weights: Weights, observations: Any, memory: Any, activation: str = "relu") -> tuple[Any, Any]:
     """Compute the outputs (outputs, M) from observations (size, M), and the memory (units, M).
 
     A network without memory leaves it as it is.
     """
-    hidden = read_in(weights, observations)
+    hidden = read_in(weights, observations, activation)
     if is_recurrent(weights):
         hidden = memory = update_hidden(hidden, weights["again"], memory)
     return read_out(weights, hidden), memory
@@ -107,7 +174,7 @@ class LayeredPolicy(RowPolicy):
     def __init__(self, name: str, weights: Weights, metadata: Metadata) -> None:
         self.name, self.weights, self.metadata, self.interface = name, weights, metadata, metadata.interface
         hidden = [len(weights[layer]) for layer in takewhile(weights.__contains__, LAYERS)]
-        size = weights["layer_0" if hidden else "in"].shape[-1]
+        size = weights["layer_0" if hidden else "in" if is_recurrent(weights) else "out"].shape[-1]
         if is_recurrent(weights):
             hidden.append(weights["again"].shape[-1])
         outputs = sum(metadata.action_dims)
@@ -123,5 +190,5 @@ class LayeredPolicy(RowPolicy):
             memory = np.zeros((self.weights["again"].shape[-1], len(rows)), dtype=np.float32)
         elif starts.any() and memory is not None:
             memory = np.where(starts, np.float32(0), memory)
-        actions, memory = run_layers(self.weights, np.ascontiguousarray(rows.T), memory)
+        actions, memory = run_layers(self.weights, np.ascontiguousarray(rows.T), memory, self.metadata.activation)
         return np.clip(actions.T, -1, 1), memory

@@ -12,8 +12,7 @@ from zipfile import ZipFile
 
 import numpy as np
 
-from ptne_env.learn.layers import LayeredPolicy, Weights
-from ptne_env.learn.onnx_policy import Metadata
+from ptne_env.learn.layers import LayeredPolicy, Metadata, Weights
 from ptne_env.learn.recurrent import RecurrentPolicy, check_weights
 from ptne_env.perception.policy import PolicyFileError
 
@@ -31,7 +30,7 @@ def seal(weights: Weights, training: Mapping[str, Any] | Metadata) -> bytes:
         training: how a recurrent policy was trained; for a layered one, also where it can act.
     """
     arrays = {name: np.asarray(weights[name], dtype=np.float32) for name in sorted(weights)}
-    described = json.loads(training.to_json()) if isinstance(training, Metadata) else dict(training)
+    described = training.to_dict() if isinstance(training, Metadata) else dict(training)
     kind = "layered" if isinstance(training, Metadata) else "training"
     description = {"version": _VERSION, "sha256": _compute_digest(arrays, described), kind: described}
     arrays[_DESCRIPTION] = np.frombuffer(json.dumps(description).encode(), dtype=np.uint8)
@@ -60,7 +59,7 @@ def open_policy(path: Path, content: bytes) -> RecurrentPolicy | LayeredPolicy:
         _require(_compute_digest(weights, described) == description["sha256"], "it has another SHA-256")
         _require(all(np.isfinite(each).all() for each in weights.values()), "a weight is not finite")
         if is_layered:
-            return LayeredPolicy(path.stem, weights, Metadata.from_json(json.dumps(described)))
+            return LayeredPolicy(path.stem, weights, Metadata.from_dict(described))
         check_weights(weights)
         return RecurrentPolicy(path.stem, weights, None, described)
     except Exception as error:  # zip files raise many classes

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ptne_env.learn import npz_policy, onnx_policy
 from ptne_env.learn.layers import LayeredPolicy
+from ptne_env.learn.npz_policy import open_policy
 from ptne_env.learn.recurrent import RecurrentPolicy
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.perception.policy import NetworkPolicy
 from ptne_env.shared.files import read_file, shipped_files
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import FactorySpec
@@ -40,7 +39,7 @@ class PolicyFormat(NamedTuple):
         return FactorySpec.of(self.target, **{self.argument: path_or_name})
 
 
-DATA = PolicyFormat((".onnx", ".npz"), "policy:file", "path_or_name", ("onnxruntime",), executes_code=False)
+DATA = PolicyFormat((".npz",), "policy:file", "path_or_name", (), executes_code=False)
 ARCHIVE = PolicyFormat(
     (".zip",), "ptne_env.learn.sb3_archive:load_archive", "path", ("stable_baselines3", "torch"), executes_code=True
 )
@@ -66,7 +65,7 @@ def shipped_path(name: str) -> Path:
         ValueError: for another name.
     """
     if name not in shipped_names():
-        raise ValueError(unknown_name("learned policy", name, shipped_names(), "an .onnx or .npz file"))
+        raise ValueError(unknown_name("learned policy", name, shipped_names(), "an .npz file"))
     return shipped_files("learn", *DATA.endings)[name]
 
 
@@ -75,10 +74,8 @@ def find_file(path_or_name: str | Path) -> Path:
     return shipped_path(str(path_or_name)) if str(path_or_name) in shipped_names() else Path(path_or_name)
 
 
-def load(
-    path_or_name: str | Path, layout: ObservationLayout | None = None
-) -> NetworkPolicy | RecurrentPolicy | LayeredPolicy:
-    """Load a learned policy from an ``.onnx`` or ``.npz`` file, or a policy of the library by name.
+def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> RecurrentPolicy | LayeredPolicy:
+    """Load a learned policy from an ``.npz`` file, or a policy of the library by name.
 
     Args:
         path_or_name: the path of the file, or the name of a shipped policy.
@@ -89,14 +86,11 @@ def load(
         ValueError: for an unknown name.
         FileNotFoundError: when there is no such file.
         DamagedFileError: when the file is too large or no regular file.
-        PolicyFileError: when the file is damaged, foreign or of another version, refers to other files, or has
-            operations that are not in :data:`ptne_env.learn.onnx_policy.OPERATORS`.
+        PolicyFileError: when the file is damaged, foreign or of another version.
         LayoutError: when the policy was made for another layout.
-        ImportError: without onnx and onnxruntime, which ``.onnx`` files need, naming the extra to install.
     """
     path = find_file(path_or_name)
     if path.suffix not in DATA.endings:
         path = shipped_path(str(path_or_name))  # which says what there is
-    open_policy = onnx_policy.open_policy if path.suffix == ".onnx" else npz_policy.open_policy
-    policy: NetworkPolicy | RecurrentPolicy | LayeredPolicy = open_policy(path, read_file(path, LARGEST_FILE))
+    policy = open_policy(path, read_file(path, LARGEST_FILE))
     return policy if layout is None else policy.with_layout(layout)

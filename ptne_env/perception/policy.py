@@ -163,14 +163,11 @@ class NetworkPolicy(RowPolicy):
     Args:
         function: decides for the rows.
         made_for: the attributes that a layout must have; an ``interface`` among them becomes that of the policy.
-        name: the name of the file of the network, without its ending.
-        metadata: the description in the file, if it has one.
+        name: the name of the network, such as that of its file without the ending.
     """
 
-    def __init__(
-        self, function: Function, made_for: Mapping[str, Any] = RowPolicy.made_for, name: str = "", metadata: Any = None
-    ) -> None:
-        self._function, self.made_for, self.name, self.metadata = function, made_for, name, metadata
+    def __init__(self, function: Function, made_for: Mapping[str, Any] = RowPolicy.made_for, name: str = "") -> None:
+        self._function, self.made_for, self.name = function, made_for, name
         self.interface: Interface | None = made_for.get("interface")
 
     def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:

@@ -27,9 +27,17 @@ import optax
 import ptne_env.jax
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.laws.static import static_inputs
-from ptne_env.learn.layers import Weights, is_recurrent, read_in, read_out, run_layers, update_hidden, weight_shapes
+from ptne_env.learn.layers import (
+    Metadata,
+    Weights,
+    is_recurrent,
+    read_in,
+    read_out,
+    run_layers,
+    update_hidden,
+    weight_shapes,
+)
 from ptne_env.learn.npz_policy import open_policy, seal
-from ptne_env.learn.onnx_policy import Metadata
 from ptne_env.perception.fields import LOG_SCALE_UNIT
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites import find_track

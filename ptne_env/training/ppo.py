@@ -1,6 +1,6 @@
 """PPO of Stable-Baselines3 on a scenario, with a network that all players share.
 
-Run it with ``ptne train random-energy --algorithm sb3-ppo --out DIR``. ``DIR`` then holds ``policy.onnx`` (load it with
+Run it with ``ptne train random-energy --algorithm sb3-ppo --out DIR``. ``DIR`` then holds ``policy.npz`` (load it with
 :func:`ptne_env.learn.load`), ``summary.json``, ``configuration.json``, the evaluations of the learning curve
 (``evaluations.npz``), and models of Stable-Baselines3 in ``checkpoints``. The same command resumes an interrupted run
 from the last of them. An uninterrupted run ends with the same policy on the same machine; a resumed one draws other
@@ -9,17 +9,14 @@ games and other noise from there on, so it ends with another policy.
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import onnx
 import stable_baselines3
 import torch
 from stable_baselines3 import PPO
@@ -30,7 +27,8 @@ from torch import nn
 
 from ptne_env._version import __version__
 from ptne_env.envs.sb3 import PlayerVecEnv
-from ptne_env.learn.onnx_policy import Metadata, open_policy, seal
+from ptne_env.learn.layers import LAYERS, Metadata, Weights
+from ptne_env.learn.npz_policy import open_policy, seal
 from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.files import require_file, write_atomically
@@ -39,11 +37,9 @@ from ptne_env.training.configuration import Configuration, RunSummary, read_fini
 from ptne_env.training.curve import validate
 
 if TYPE_CHECKING:
-    from gymnasium import spaces
     from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.running_mean_std import RunningMeanStd
 
-POLICY = "policy.onnx"
+POLICY = "policy.npz"
 """The name of the file of the policy."""
 
 CURVE = "digits_gained"
@@ -96,7 +92,7 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     if configuration.steps > resumed_at:
         model.learn(configuration.steps - resumed_at, callback=callbacks, reset_num_timesteps=False)
 
-    exported = to_onnx(model, env.layout, **asdict(configuration))
+    exported = export(model, env.layout, **asdict(configuration))
     digits = validate(open_policy(Path(POLICY), exported), scenario)
     write_atomically(out / POLICY, exported)
     summary = RunSummary(model.num_timesteps, resumed_at, monotonic() - began, digits)
@@ -153,73 +149,47 @@ class _Report(BaseCallback):
             self._progress(self.num_timesteps, self._steps, self._evaluation.last_mean_reward)
 
 
-def to_onnx(model: BaseAlgorithm, layout: ObservationLayout, **training: Any) -> bytes:
+def export(model: BaseAlgorithm, layout: ObservationLayout, **training: Any) -> bytes:
     """Export the deterministic actions of a model: the content of a file that :func:`ptne_env.learn.load` reads.
 
     Args:
-        model: of any algorithm with an ``MlpPolicy``; the statistics of its ``VecNormalize`` become part of the file.
-        layout: the layout of the environments in which it was trained.
+        model: of PPO or A2C with an ``MlpPolicy`` of tanh or ReLU.
+        layout: the layout of the environments in which it was trained, of units ``scaled``.
         **training: how it was trained, for the metadata.
 
     Raises:
-        ValueError: when the policy cannot be exported, or its file is refused or decides differently from the model.
+        ValueError: when no file holds such a policy, or its file is refused or decides differently from the model.
     """
-    content = io.BytesIO()
     training |= {"ptne_env": __version__}
     training |= {library.__name__: library.__version__ for library in (stable_baselines3, torch, np)}
     rows = np.random.default_rng(0).standard_normal((100, layout.size)).astype(np.float32)
     try:
-        expected, _ = as_trained(model).predict(rows, deterministic=True)
-        with warnings.catch_warnings():
-            # The other exporter of torch needs a further package and takes half a minute.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            torch.onnx.export(
-                _Actor(model).eval(),
-                (torch.zeros(2, layout.size),),
-                content,  # type: ignore[arg-type]  # this exporter takes open files
-                input_names=["observation"],
-                output_names=["action"],
-                dynamic_axes={"observation": {0: "rows"}, "action": {0: "rows"}},
-                dynamo=False,
-            )
-        exported = seal(onnx.load_from_string(content.getvalue()), Metadata.of(layout, training))
+        weights, activation = _read_network(model, layout)
+        exported = seal(weights, Metadata.of(layout, training, activation))
         actions, _ = open_policy(Path(POLICY), exported).predict(rows)
-        tolerance = 1e-4 * max(1.0, float(np.abs(expected).max()))
-        np.testing.assert_allclose(actions, expected, rtol=1e-4, atol=tolerance, equal_nan=False)
-    except Exception as error:  # of torch, onnx and the policy
+        expected, _ = as_trained(model).predict(rows, deterministic=True)
+        np.testing.assert_allclose(actions, expected, rtol=1e-4, atol=1e-4, equal_nan=False)
+    except (ValueError, AssertionError) as error:
         raise ValueError(
             f"no file can play this {type(model).__name__} ({error}); evaluate takes the model itself, or its .zip"
         ) from error
     return exported
 
 
-class _Actor(nn.Module):
-    """The deterministic actions of a model, scaled or clipped to the action box, as its ``predict`` returns them."""
-
-    def __init__(self, model: BaseAlgorithm) -> None:
-        super().__init__()
-        self.policy, self.normaliser = model.policy, model.get_vec_normalize_env()
-        if self.normaliser is not None and self.normaliser.norm_obs:
-            seen = cast("RunningMeanStd", self.normaliser.obs_rms)
-            self.mean = torch.Tensor(seen.mean)
-            self.deviation = torch.Tensor(np.sqrt(seen.var + self.normaliser.epsilon))
-        box = cast("spaces.Box", model.action_space)
-        self.low, self.high = torch.as_tensor(box.low), torch.as_tensor(box.high)
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        if self.normaliser is not None and self.normaliser.norm_obs:
-            limit = self.normaliser.clip_obs
-            observations = ((observations - self.mean) / self.deviation).clamp(-limit, limit)
-        # The means: torch would export all that a distribution computes beside them.
-        policy: Any = self.policy
-        if isinstance(policy, ActorCriticPolicy):
-            features: Any = policy.extract_features(observations, policy.pi_features_extractor)
-            actions = policy.action_net(policy.mlp_extractor.forward_actor(features))
-            actions = torch.tanh(actions) if policy.squash_output else actions
-        elif hasattr(policy.actor, "get_action_dist_params"):  # as SAC
-            actions = torch.tanh(policy.actor.get_action_dist_params(observations)[0])
-        else:  # as TD3
-            actions = policy.actor(observations)
-        if policy.squash_output:
-            actions = self.low + 0.5 * (actions + 1) * (self.high - self.low)
-        return torch.maximum(torch.minimum(actions, self.high), self.low)
+def _read_network(model: BaseAlgorithm, layout: ObservationLayout) -> tuple[Weights, str]:
+    """Return the weights of the means of a model's actions, as layers, and the activation of these."""
+    policy: Any = model.policy
+    is_plain = type(policy) is ActorCriticPolicy and not policy.squash_output
+    modules = [*policy.mlp_extractor.policy_net, policy.action_net] if is_plain else []
+    activations = {type(each) for each in modules} - {nn.Linear}
+    is_normalised = getattr(model.get_vec_normalize_env(), "norm_obs", False)
+    if not is_plain or activations - {nn.Tanh, nn.ReLU} or is_normalised or not layout.is_scaled:
+        raise ValueError(
+            "a file holds an MlpPolicy of PPO or A2C, of tanh or ReLU, without squash_output, trained on observations "
+            "of the interface 'scaled' without VecNormalize"
+        )
+    layers = [each for each in modules if isinstance(each, nn.Linear)]
+    weights: Weights = {}
+    for name, layer in zip([*LAYERS[: len(layers) - 1], "out"], layers, strict=True):
+        weights |= {name: layer.weight.detach().numpy(), f"{name}_bias": layer.bias.detach().numpy()[:, None]}
+    return weights, "tanh" if nn.Tanh in activations else "relu"

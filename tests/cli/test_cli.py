@@ -18,7 +18,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from extras import need_jax, need_matplotlib, need_onnx
+from extras import need_jax, need_matplotlib
 
 from ptne_env.cli.app import ExitCode, main
 from ptne_env.learn import shipped_path
@@ -130,10 +130,10 @@ def test_wrong_usage_exits_with_2_and_a_message(words, message, run, tmp_path):
 @pytest.mark.parametrize(
     "words",
     [
-        "compare energy --policy missing.file.onnx",
+        "compare energy --policy missing.file.npz",
         "compare energy --policy missing.file.zip --trust",
-        "compare energy --policy mine=missing.file.onnx",
-        "render energy missing.file.onnx --out out.gif",
+        "compare energy --policy mine=missing.file.npz",
+        "render energy missing.file.npz --out out.gif",
         "verify missing.file",
         "train missing.file.toml --out out",
     ],
@@ -145,13 +145,13 @@ def test_a_missing_file_is_called_a_missing_file(words, run, tmp_path):
     assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("words", ["compare energy --policy no.onnx", "verify no.onnx", "train no.toml --out out"])
+@pytest.mark.parametrize("words", ["compare energy --policy no.npz", "verify no.npz", "train no.toml --out out"])
 def test_a_file_that_is_something_else_is_named(words, run, tmp_path):
-    for name in ("no.onnx", "no.toml"):
+    for name in ("no.npz", "no.toml"):
         (tmp_path / name).write_text("something else", encoding="utf-8")
     outcome = run(words)
     assert outcome.code == ExitCode.FILE
-    assert re.search(r"no\.(onnx|toml)", outcome.err)
+    assert re.search(r"no\.(npz|toml)", outcome.err)
     assert "Traceback" not in outcome.err
 
 
@@ -307,9 +307,8 @@ def test_a_failing_policy_is_named_with_its_error_and_the_others_go_on(own_modul
 
 
 def test_a_policy_that_cannot_play_a_track_is_in_the_answer_with_its_reason(tmp_path, run):
-    need_onnx()
-    (tmp_path / "mine.onnx").write_bytes(shipped_path("ppo-ptne-v1").read_bytes())
-    outcome = run("compare --suite ptne-v1 nominal uneven-box --policy mine.onnx,static --episodes 2 --jobs 1")
+    (tmp_path / "mine.npz").write_bytes(shipped_path("ppo-ptne-v1").read_bytes())
+    outcome = run("compare --suite ptne-v1 nominal uneven-box --policy mine.npz,static --episodes 2 --jobs 1")
     assert outcome.code == 0
     words = " ".join(outcome.out.split())
     assert "mine has no result on uneven-box, for the reason below the table." in words
@@ -472,8 +471,8 @@ ESCAPES = "\x1b[31mred\x1b]0;title\x9b2J"
 
 def test_escape_sequences_of_names_and_errors_are_spelled_out(run, tmp_path):
     (tmp_path / "broken.py").write_text(f"def policy(layout):\n    raise RuntimeError({ESCAPES!r})\n", encoding="utf-8")
-    (tmp_path / f"{ESCAPES}.onnx").write_bytes(b"not a network")
-    for policy in (shlex.quote(f"{ESCAPES}.onnx"), "static,broken:policy"):
+    (tmp_path / f"{ESCAPES}.npz").write_bytes(b"not a network")
+    for policy in (shlex.quote(f"{ESCAPES}.npz"), "static,broken:policy"):
         done = run(f"--debug compare energy --trust --policy {policy} --episodes 1 --jobs 1 --no-report")
         assert done.code
         printed = done.out + done.err

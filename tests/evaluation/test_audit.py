@@ -4,7 +4,6 @@ import re
 
 import numpy as np
 import pytest
-from extras import need_onnx
 from small_suite import BASE
 
 import ptne_env
@@ -161,8 +160,7 @@ def test_rounding_that_depends_on_the_size_of_the_batch_passes_the_audit(episode
 
 
 def test_policies_of_the_user_are_audited_and_those_that_ship_are_not(tmp_path, monkeypatch):
-    need_onnx()
-    own = tmp_path / "mine.onnx"
+    own = tmp_path / "mine.npz"
     own.write_bytes(shipped_path("ppo-random-energy").read_bytes())
     audited = []
     monkeypatch.setattr(Witness, "compare", lambda witness, rows, actions: audited.append(1))

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from extras import need_onnx
 from small_suite import BASE
 
 import ptne_env
@@ -18,7 +17,6 @@ from ptne_env.world.world import World
 
 
 def test_every_named_policy_can_be_made_and_is_its_own_dict_and_back():
-    need_onnx()
     assert {*COMPARED} < {*POLICIES}
     for name, spec in POLICIES.items():
         assert spec.name == name
@@ -52,21 +50,20 @@ def test_what_a_policy_declares_cannot_be_overridden():
 
 
 def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch):
-    need_onnx()
     monkeypatch.chdir(tmp_path)
     for folder in ("lr=0.1", "runs/lr=0.1", "runs/lr=0.2"):
         (tmp_path / folder).mkdir(parents=True)
-        (tmp_path / folder / "policy.onnx").write_bytes(shipped_path("ppo-random-energy").read_bytes())
-    for path in ("lr=0.1/policy.onnx", "runs/lr=0.1/policy.onnx"):  # a path with an equals sign is a file
+        (tmp_path / folder / "policy.npz").write_bytes(shipped_path("ppo-random-energy").read_bytes())
+    for path in ("lr=0.1/policy.npz", "runs/lr=0.1/policy.npz"):  # a path with an equals sign is a file
         assert get_policy_spec(path).policy == FactorySpec.of("policy:file", path_or_name=path)
         assert as_list(Path(path)) == [Path(path)]
         assert get_policy_spec(path) == get_policy_spec(Path(path))
         assert get_policy_spec(path).is_own
-    assert len(get_policy_spec("mine=runs/lr=*/policy.onnx").training_seeds) == 2
-    with pytest.raises(FileNotFoundError, match=r"there is no file 'none-\*.onnx', which 'mine=none-\*.onnx' asks for"):
-        get_policy_spec("mine=none-*.onnx")
+    assert len(get_policy_spec("mine=runs/lr=*/policy.npz").training_seeds) == 2
+    with pytest.raises(FileNotFoundError, match=r"there is no file 'none-\*.npz', which 'mine=none-\*.npz' asks for"):
+        get_policy_spec("mine=none-*.npz")
     (tmp_path / "evil.py").touch()
-    with pytest.raises(ValueError, match="policy files end in .onnx, .npz or .zip"):
+    with pytest.raises(ValueError, match="policy files end in .npz or .zip"):
         get_policy_spec("mine=*.py")
 
 

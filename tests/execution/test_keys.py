@@ -21,7 +21,8 @@ def test_a_key_does_not_depend_on_names_of_policies_sentences_and_other_extras()
     assert key_of(replace(JOB, policy=same)) == key_of(JOB)
     assert key_of(replace(JOB, track=replace(JOB.track, change="Another sentence."))) == key_of(JOB)
     assert set(content_of(JOB)["versions"]) == {"ptne_env", "numpy", "scipy", "networkx"}
-    assert "onnxruntime" in content_of(replace(JOB, policy=get_policy_spec("ppo-random-energy")))["versions"]
+    archive = PolicySpec("mine", FactorySpec.of("ptne_env.learn.sb3_archive:load_archive", path="model.zip"), "scaled")
+    assert archive.libraries == ("stable_baselines3", "torch")
 
 
 @pytest.mark.parametrize(
@@ -44,7 +45,7 @@ def test_a_key_depends_on_everything_that_the_numbers_do(change):
 
 
 def test_a_key_depends_on_the_physics_and_on_the_content_of_a_policy_file(monkeypatch, tmp_path):
-    path, keys = tmp_path / "mine.onnx", set()
+    path, keys = tmp_path / "mine.npz", set()
     content = shipped_path("ppo-random-energy").read_bytes()
     path.write_bytes(content)
     job = replace(JOB, policy=get_policy_spec(str(path)))

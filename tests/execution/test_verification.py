@@ -403,17 +403,17 @@ def test_a_failure_of_no_training_seed_does_not_repeat(tmp_path):
 
 
 def test_policy_files_lie_beside_the_results(tmp_path):
-    file = tmp_path / "here" / "mine.onnx"
+    file = tmp_path / "here" / "mine.npz"
     file.parent.mkdir()
     file.write_bytes(shipped_path("ppo-random-energy").read_bytes())
     results = evaluate([str(file), "static"], SMALL.tracks[0], episodes=2)
     there = tmp_path / "there"
     there.mkdir()
     (there / "results.json").write_text(results.to_json(), encoding="utf-8")
-    file.rename(there / "renamed.onnx")
+    file.rename(there / "renamed.npz")
     assert verify(there).passes
-    (there / "renamed.onnx").unlink()
-    with pytest.raises(FileNotFoundError, match=r"mine\.onnx"):
+    (there / "renamed.npz").unlink()
+    with pytest.raises(FileNotFoundError, match=r"mine\.npz"):
         verify(there)
 
 

@@ -1,14 +1,25 @@
 """Policy files for tests, with their networks written by hand."""
 
+import io
+import json
+
 import numpy as np
-from onnx import TensorProto, helper, numpy_helper
 
 from ptne_env import Interface
-from ptne_env.learn import Metadata
-from ptne_env.learn.onnx_policy import seal
+from ptne_env.learn import Metadata, npz_policy, recurrent
 
 OBSERVATION = 24
 """Length of an observation of ``random-energy`` in the interface ``scaled``."""
+
+RECURRENT = recurrent.initial_weights(np.random.default_rng(0), hidden=6, slot_hidden=4)
+"""Weights for worlds of any size."""
+
+
+def layered(size=OBSERVATION, units=6, actions=5):
+    """Weights with one hidden layer."""
+    rng = np.random.default_rng(0)
+    shapes = {"layer_0": (units, size), "layer_0_bias": (units, 1), "out": (actions, units), "out_bias": (actions, 1)}
+    return {name: 0.1 * rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
 
 
 def metadata(**changes):
@@ -21,30 +32,20 @@ def metadata(**changes):
     return Metadata(**values | changes)
 
 
-def network(nodes, weights, *, size=OBSERVATION, actions=5, rows="rows"):
-    """A network from ``observation`` to ``action``; weights are arrays by name, or tensors."""
-    tensors = [
-        value if isinstance(value, TensorProto) else numpy_helper.from_array(value, name)
-        for name, value in weights.items()
-    ]
-    graph = helper.make_graph(
-        nodes,
-        "policy",
-        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, [rows, size])],
-        [helper.make_tensor_value_info("action", TensorProto.FLOAT, [rows, actions])],
-        tensors,
-    )
-    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
-
-
-def first_entries(size=OBSERVATION, actions=5, **changes):
-    """A network that returns the first entries of its observations."""
-    weights = {name: np.array([value]) for name, value in (("start", 0), ("end", actions), ("axis", 1))}
-    nodes = [helper.make_node("Slice", ["observation", *weights], ["action"])]
-    return network(nodes, weights, size=size, actions=actions, **changes)
-
-
-def write(path, model=None, **changes):
-    """A policy file with a network, :func:`first_entries` if left out, and changed metadata."""
-    path.write_bytes(seal(model or first_entries(), metadata(**changes)))
+def write(path, weights=None, **changes):
+    """A policy file with weights, :func:`layered` if left out, and changed metadata."""
+    path.write_bytes(npz_policy.seal(weights or layered(), metadata(**changes)))
     return path
+
+
+def pack(weights, version=6, **described):
+    """The content of a file whose SHA-256 is right, whatever it holds; ``described`` is one value by its kind."""
+    ((kind, value),) = described.items()
+    description = {"version": version, "sha256": npz_policy._compute_digest(weights, value), kind: value}
+    return pack_text(weights, json.dumps(description))
+
+
+def pack_text(weights, text):
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **weights, metadata=np.frombuffer(text.encode(), dtype=np.uint8))
+    return buffer.getvalue()

@@ -1,8 +1,5 @@
 """Reading policy files: they are data, and what is damaged, foreign, large or made for something else is refused."""
 
-import json
-import sys
-import time
 from hashlib import sha256
 from pathlib import Path
 from textwrap import dedent
@@ -11,18 +8,13 @@ from zipfile import ZipFile
 import numpy as np
 import pytest
 from affine_games import SOAK
-from extras import need_sb3
-
-onnx = need_sb3("onnx")
-
-from onnx import helper
-from policy_files import OBSERVATION, first_entries, metadata, network, write
+from policy_files import OBSERVATION, RECURRENT, layered, metadata, pack, pack_text, write
 from processes import run_python
 
 import ptne_env
 from ptne_env import Interface, learn
 from ptne_env.evaluation import get_policy_spec
-from ptne_env.learn import Metadata, PolicyFileError
+from ptne_env.learn import PolicyFileError, npz_policy
 from ptne_env.learn.sb3_archive import load_archive
 from ptne_env.perception.observation import LayoutError
 from ptne_env.shared.files import DamagedFileError
@@ -30,23 +22,37 @@ from ptne_env.suites import find_scenario
 from ptne_env.training import configurations
 
 
+def opened(content):
+    return npz_policy.open_policy(Path("mine.npz"), content)
+
+
 @pytest.fixture
 def layout():
     return ptne_env.parallel_env("random-energy").layout
 
 
-def test_a_policy_acts_in_the_environment_of_its_layout(tmp_path, layout):
-    policy = learn.load(write(tmp_path / "mine.onnx"), layout)
+@pytest.mark.parametrize(("activation", "function"), [("relu", lambda x: np.maximum(x, 0)), ("tanh", np.tanh)])
+def test_a_policy_acts_in_the_environment_of_its_layout(tmp_path, layout, activation, function):
+    policy = learn.load(write(tmp_path / "mine.npz", activation=activation), layout)
     assert isinstance(policy, ptne_env.Policy)
     assert policy.name == "mine"
-    rows = np.random.default_rng(0).normal(size=(7, layout.size)).astype(np.float32)
+    rows = 5 * np.random.default_rng(0).normal(size=(7, layout.size)).astype(np.float32)
     actions, state = policy.predict(rows, state="memory")
-    np.testing.assert_array_equal(actions, rows[:, :5])
+    first, first_bias, out, out_bias = layered().values()
+    expected = out @ function(first @ rows.T + first_bias) + out_bias
+    np.testing.assert_allclose(actions, np.clip(expected.T, -1, 1), rtol=1e-5, atol=1e-6)
     assert state == "memory"
     single, _ = policy.predict(rows[3])
     np.testing.assert_array_equal(single, actions[3])
     with pytest.raises(ValueError, match=f"length {OBSERVATION}"):
         policy.predict(rows[:, 1:])
+
+
+def test_a_network_may_have_one_layer_alone(tmp_path):
+    weights = {"out": np.eye(5, OBSERVATION, dtype=np.float32), "out_bias": np.zeros((5, 1), dtype=np.float32)}
+    rows = np.random.default_rng(0).normal(size=(7, OBSERVATION)).astype(np.float32)
+    actions, _ = learn.load(write(tmp_path / "mine.npz", weights)).predict(rows)
+    np.testing.assert_array_equal(actions, np.clip(rows[:, :5], -1, 1))
 
 
 @pytest.mark.parametrize(
@@ -61,48 +67,82 @@ def test_a_policy_acts_in_the_environment_of_its_layout(tmp_path, layout):
     ],
 )
 def test_another_layout_is_refused_and_named(tmp_path, layout, changes, named):
-    path = write(tmp_path / "mine.onnx", first_entries(actions=len(changes.get("action_dims", "12345"))), **changes)
+    path = write(tmp_path / "mine.npz", layered(actions=len(changes.get("action_dims", "12345"))), **changes)
     learn.load(path)
     with pytest.raises(LayoutError, match=f"another layout; .*{named}"):
         learn.load(path, layout)
 
 
-def test_a_file_with_any_damaged_byte_or_length_is_refused(tmp_path):
-    path = write(tmp_path / "mine.onnx")
-    content, rng = path.read_bytes(), np.random.default_rng(0)
-    for _ in range(5000 if SOAK else 100):
+@pytest.mark.parametrize("content", [npz_policy.seal(layered(), metadata()), npz_policy.seal(RECURRENT, {"seed": 0})])
+def test_a_file_with_a_damaged_byte_or_length_is_refused_or_plays_the_same(content):
+    weights = opened(content).weights
+    rng, count, refused = np.random.default_rng(0), 5000 if SOAK else 150, 0
+    for _ in range(count):
         damaged = bytearray(content)
         damaged[rng.integers(len(content))] ^= 1 << rng.integers(8)
-        path.write_bytes(damaged if rng.random() < 0.7 else content[: rng.integers(len(content))])
-        with pytest.raises(PolicyFileError, match="damaged"):
-            learn.load(path)
-    path.write_bytes(content)
-    learn.load(path)
+        try:
+            again = opened(bytes(damaged) if rng.random() < 0.7 else content[: rng.integers(len(content))]).weights
+        except PolicyFileError:
+            refused += 1
+        else:  # the damage is in a date or the like
+            np.testing.assert_equal(again, weights)
+    assert refused > 0.8 * count
 
 
-OTHERS = [b"", b"not a network", b"PK\x03\x04 a zip", b"{}", first_entries().SerializeToString()]
+def recurrent_with(version=6, **changes):
+    return pack(RECURRENT | changes, version, training={})
 
 
-@pytest.mark.parametrize("content", OTHERS)
-def test_a_foreign_file_is_refused(tmp_path, content):
-    path = tmp_path / "foreign.onnx"
-    path.write_bytes(content)
-    with pytest.raises(PolicyFileError, match=r"foreign.onnx is .*damaged"):
-        learn.load(path)
+def layered_with(**changes):
+    return pack(layered(), layered=metadata().to_dict() | changes)
+
+
+LARGE = np.zeros((3, 2000, 2000), dtype=np.float32)
+FOREIGN = {
+    "nothing": (b"", ""),
+    "text": (b"{}", ""),
+    "cut off": (b"PK\x03\x04 a zip", ""),
+    "another version": (recurrent_with(version=9), "of another version"),
+    "other shapes": (recurrent_with(gate=np.zeros((1, 5), dtype=np.float32)), "other shapes"),
+    "more weights": (recurrent_with(more=np.zeros(1, dtype=np.float32)), "other shapes"),
+    "not a number": (recurrent_with(gate=RECURRENT["gate"] * np.nan), "not finite"),
+    "half a step": (recurrent_with(action_repeat=np.full(1, 0.5, dtype=np.float32)), "for no number of steps"),
+    "large": (recurrent_with(again=LARGE), "unpacks to more than 16 MiB"),
+    "large with layers": (pack(layered() | {"again": LARGE}, layered={}), "unpacks to more than 16 MiB"),
+    "objects": (recurrent_with(gate=np.array([print])), "Object arrays cannot be loaded"),
+    "no layers": (pack(RECURRENT, layered=metadata().to_dict()), ""),
+    "other actions": (layered_with(action_dims=[1] * 4), "other shapes"),
+    "an unknown value": (layered_with(unheard_of=1), "unheard_of"),
+    "a player without actions": (layered_with(action_dims=[0]), "action_dims must be"),
+    "a text for a number": (layered_with(slots="2"), "slots must be"),
+    "a list for an interface": (layered_with(interface=["scaled"]), ""),
+    "another function": (layered_with(activation="elu"), "activation must be relu or tanh, got 'elu'"),
+    "another layout version": (
+        layered_with(layout_version=99),
+        "layout version 99, this library has 1; use the version of ptne_env that made it",
+    ),
+    **{text[:9]: (pack_text(layered(), text), "") for text in ("{", "[]", "{}", "[" * 100_000, '{"a":' * 100_000)},
+}
+
+
+@pytest.mark.parametrize("case", FOREIGN)
+def test_a_foreign_file_is_refused_with_the_reason(case):
+    content, reason = FOREIGN[case]
+    with pytest.raises(PolicyFileError, match=f"mine.npz is damaged, or no policy of this library: .*{reason}"):
+        opened(content)
 
 
 @pytest.mark.parametrize("size", [2**24 + 1, 2**40])
-@pytest.mark.parametrize("name", ["large.onnx", "large.npz"])
-def test_a_large_file_is_refused_before_it_is_read(tmp_path, name, size):
-    path = tmp_path / name
+def test_a_large_file_is_refused_before_it_is_read(tmp_path, size):
+    path = tmp_path / "large.npz"
     with path.open("wb") as file:
         file.truncate(size)  # it takes no space
-    with pytest.raises(DamagedFileError, match=rf"{name} has more than 16 MiB"):
+    with pytest.raises(DamagedFileError, match=r"large\.npz has more than 16 MiB"):
         learn.load(path)
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs a device that never ends")
-@pytest.mark.parametrize("name", ["endless.onnx", "endless.npz", "endless.zip"])
+@pytest.mark.parametrize("name", ["endless.npz", "endless.zip"])
 def test_a_link_to_a_device_is_refused_before_it_is_read(tmp_path, name):
     (tmp_path / name).symlink_to("/dev/zero")
     with pytest.raises(DamagedFileError, match=f"{name}' is a pipe or a device: name a regular file"):
@@ -111,35 +151,20 @@ def test_a_link_to_a_device_is_refused_before_it_is_read(tmp_path, name):
         (load_archive if name.endswith(".zip") else learn.load)(tmp_path / name)
 
 
-CHANGES = ({"unheard_of": 1}, {"action_dims": ["a"]}, {"action_dims": [0]}, {"slots": "2"}, {"interface": ["scaled"]})
-BAD = [json.dumps(json.loads(metadata().to_json()) | each) for each in CHANGES]
-
-
-@pytest.mark.parametrize("text", [*BAD, "{", "[]", "{}", "[" * 100_000, '{"interface":' * 100_000])
-def test_metadata_that_are_no_description_are_refused(text):
-    with pytest.raises(PolicyFileError, match="damaged or of another version"):
-        Metadata.from_json(text)
-
-
-def test_metadata_of_another_version_are_refused_with_advice():
-    with pytest.raises(PolicyFileError, match=r"layout version 99, this library has 1; use the version of ptne_env"):
-        Metadata.from_json(metadata(layout_version=99).to_json())
-
-
 def test_a_missing_policy_names_the_shipped_ones():
     with pytest.raises(
         ValueError, match="unknown learned policy 'no-such-policy'; choose from ppo-.*ppo-random-energy"
     ):
         learn.load("no-such-policy")
-    with pytest.raises(FileNotFoundError, match=r"there is no file 'missing\.onnx'"):
-        learn.load("missing.onnx")
+    with pytest.raises(FileNotFoundError, match=r"there is no file 'missing\.npz'"):
+        learn.load("missing.npz")
 
 
 def test_the_shipped_files_are_found_in_a_zip(tmp_path):
     package, archive = Path(ptne_env.__file__).parent, tmp_path / "library.zip"
     with ZipFile(archive, "w") as library:
         for path in package.rglob("*.*"):
-            if path.suffix in (".py", ".onnx", ".npz", ".toml"):
+            if path.suffix in (".py", ".npz", ".toml"):
                 library.write(path, path.relative_to(package.parent))
     program = """
     import hashlib, ptne_env
@@ -153,77 +178,6 @@ def test_the_shipped_files_are_found_in_a_zip(tmp_path):
         sha256(learn.shipped_path(name).read_bytes()).hexdigest() for name in learn.shipped_names()
     ]
     assert names.split() == list(configurations())
-
-
-@pytest.mark.parametrize("module", ["onnx", "onnxruntime"])
-def test_without_onnx_the_extra_to_install_is_named(monkeypatch, module):
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ImportError, match=r'pip install "ptne-env\[bench\]"'):
-        learn.load("ppo-random-energy")
-
-
-def product(weights, size=OBSERVATION):
-    return network([helper.make_node("MatMul", ["observation", "w"], ["action"])], {"w": weights}, size=size)
-
-
-def external_weights():
-    """Weights that are in another file, which exists."""
-    weights = onnx.TensorProto(name="w", data_type=1, dims=[OBSERVATION, 5], data_location=onnx.TensorProto.EXTERNAL)
-    weights.external_data.add(key="location", value="secret.bin")
-    return weights
-
-
-def as_constant():
-    weights = helper.make_node("Constant", [], ["w"], value=external_weights())
-    return network([weights, helper.make_node("MatMul", ["observation", "w"], ["action"])], {})
-
-
-def with_operator(kind, **attributes):
-    return network([helper.make_node(kind, ["observation"], ["action"], **attributes)], {}, actions=OBSERVATION)
-
-
-def large_sum():
-    """The sum of a column and a row has more numbers than the file."""
-    column, row = np.ones((2**13, 1), dtype=np.float32), np.ones((1, 2**13), dtype=np.float32)
-    nodes = [
-        helper.make_node("Add", ["column", "row"], ["sum"]),
-        helper.make_node("Slice", ["sum", "start", "end"], ["w"]),
-        helper.make_node("MatMul", ["observation", "w"], ["action"]),
-    ]
-    ends = {"start": np.array([0, 0]), "end": np.array([OBSERVATION, 5])}
-    return network(nodes, {"column": column, "row": row, **ends})
-
-
-BRANCH = helper.make_graph([], "branch", [], [])
-REFUSED = {
-    "weights in another file": (lambda: product(external_weights()), "refers to other files"),
-    "a constant in another file": (as_constant, "refers to other files"),
-    "a loop": (lambda: with_operator("Loop", body=BRANCH), "operations that are not allowed: Loop"),
-    "a branch": (lambda: with_operator("If", then_branch=BRANCH), "operations that are not allowed: If"),
-    "random numbers": (lambda: with_operator("RandomNormalLike"), "not allowed: RandomNormalLike"),
-    "an operation of others": (lambda: with_operator("Tanh", domain="others"), "not allowed: others.Tanh"),
-    "an array larger than the file": (large_sum, "computes an array of .* more than 1048576 numbers, 'sum'"),
-    "a long observation": (lambda: first_entries(size=2**40), "more than 1048576 numbers, 'observation'"),
-    "weights that do not fit": (lambda: product(np.ones((3, 5), dtype=np.float32)), "is no valid network"),
-    "one row only": (lambda: first_entries(rows=1), "cannot decide a batch of any number of rows"),
-    "actions of another length": (lambda: first_entries(actions=4), "answer with actions of 5 float32 numbers"),
-    "too many operations": (
-        lambda: network([helper.make_node("Tanh", ["observation"], [str(n)]) for n in range(1001)], {}),
-        "more than 1000 operations",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_a_network_with_anything_but_arithmetic_of_moderate_size_is_refused_at_once(case, tmp_path, monkeypatch):
-    build, reason = REFUSED[case]
-    np.ones(OBSERVATION * 5, dtype=np.float32).tofile(tmp_path / "secret.bin")
-    monkeypatch.chdir(tmp_path)
-    path = write(tmp_path / "mine.onnx", build())
-    began = time.process_time()
-    with pytest.raises(PolicyFileError, match=f"mine.onnx .*{reason}"):
-        learn.load(path)
-    assert time.process_time() - began < 20
 
 
 @pytest.mark.parametrize(

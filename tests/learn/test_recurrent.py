@@ -1,19 +1,17 @@
-"""The recurrent policy: worlds of any size, memory, and files that are data."""
+"""The recurrent policy: worlds of any size, and memory."""
 
-import io
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from policy_files import RECURRENT as WEIGHTS
 
 import ptne_env
 from ptne_env import learn
-from ptne_env.learn import PolicyFileError, npz_policy, recurrent
+from ptne_env.learn import npz_policy, recurrent
 from ptne_env.perception.observation import LayoutError
 from ptne_env.suites import get_suite
 
-WEIGHTS = recurrent.initial_weights(np.random.default_rng(0), hidden=6, slot_hidden=4)
 CONTENT = npz_policy.seal(WEIGHTS, {"seed": 0})
 
 
@@ -138,46 +136,6 @@ def test_a_loaded_policy_has_the_digits_of_its_file_in_every_world(tmp_path):
     found = ptne_env.evaluate(specs, ["random-energy", "random-energy-switching"], episodes=2).samples
     for world in ("random-energy", "random-energy-switching"):
         np.testing.assert_array_equal(found[world, "object"]["digits"], found[world, "file"]["digits"])
-
-
-def test_a_file_with_a_damaged_byte_is_refused_or_plays_the_same():
-    rng, refused = np.random.default_rng(0), 0
-    for _ in range(300):
-        damaged = bytearray(CONTENT)
-        damaged[rng.integers(len(CONTENT))] ^= 1 << rng.integers(8)
-        try:
-            weights = opened(bytes(damaged) if rng.random() < 0.7 else CONTENT[: rng.integers(len(CONTENT))]).weights
-        except PolicyFileError:
-            refused += 1
-        else:  # the damage is in a date or the like
-            np.testing.assert_equal(weights, WEIGHTS)
-    assert refused > 250
-
-
-def sealed_with(version=6, **changes):
-    """A file whose SHA-256 is right, with some weights changed."""
-    weights, buffer = WEIGHTS | changes, io.BytesIO()
-    described = {"version": version, "training": {}, "sha256": npz_policy._compute_digest(weights, {})}
-    np.savez_compressed(buffer, **weights, metadata=np.frombuffer(json.dumps(described).encode(), dtype=np.uint8))
-    return buffer.getvalue()
-
-
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        (b"PK\x03\x04 a zip", "damaged, or no policy of this library"),
-        (sealed_with(version=9), "of another version"),
-        (sealed_with(gate=np.zeros((1, 5), dtype=np.float32)), "other shapes"),
-        (sealed_with(more=np.zeros(1, dtype=np.float32)), "other shapes"),
-        (sealed_with(gate=WEIGHTS["gate"] * np.nan), "not finite"),
-        (sealed_with(action_repeat=np.full(1, 0.5, dtype=np.float32)), "for no number of steps"),
-        (sealed_with(again=np.zeros((3, 2000, 2000), dtype=np.float32)), "unpacks to more than 16 MiB"),
-        (sealed_with(gate=np.array([print])), "Object arrays cannot be loaded"),
-    ],
-)
-def test_a_foreign_file_is_refused_with_the_reason(content, reason):
-    with pytest.raises(PolicyFileError, match=f"mine.npz .*{reason}"):
-        opened(content)
 
 
 def test_a_policy_without_a_layout_or_with_another_interface_says_so():

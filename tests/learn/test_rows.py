@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from extras import need_sb3
 
-need_sb3("onnx")
+need_sb3()
 
 import torch
-from onnx import helper
-from policy_files import OBSERVATION, network, write
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
 
@@ -94,16 +92,6 @@ def random_rows(size, rows=70):
     scales = rng.choice([0.01, 1.0, 30.0], (STEPS, rows, 1))
     steps = iter((scales * rng.normal(size=(STEPS, rows, size))).astype(np.float32))
     return lambda _: next(steps)
-
-
-def test_onnx_files_with_vectorised_functions_decide_rows_alike(tmp_path):
-    rng, names = np.random.default_rng(2), ("observation", "a", "b", "c", "d", "action")
-    kinds = (("MatMul", "w1"), ("Elu",), ("Softplus",), ("MatMul", "w2"), ("Sigmoid",))
-    nodes = [helper.make_node(kind, [names[i], *more], [names[i + 1]]) for i, (kind, *more) in enumerate(kinds)]
-    shapes = {"w1": (OBSERVATION, 33), "w2": (33, 5)}
-    weights = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
-    policy = learn.load(write(tmp_path / "mine.onnx", network(nodes, weights)))
-    assert_decides_rows_alike(lambda: policy, random_rows(OBSERVATION), 70)
 
 
 @pytest.mark.parametrize(

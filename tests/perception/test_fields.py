@@ -10,7 +10,7 @@ from worlds import BLOCKS_SWITCHING, DEGREE, FAULTY, OWN_COST, begin, with_field
 
 import ptne_env
 from ptne_env import Interface, PolicySpec, evaluate, laws
-from ptne_env.learn.onnx_policy import Metadata
+from ptne_env.learn import Metadata
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.fields import FIELDS
 from ptne_env.perception.observation import LayoutError
@@ -133,8 +133,8 @@ def test_other_fields_are_written_and_read_in_files(added):
     assert PolicySpec.from_dict(spec.to_dict()) == spec
     for given, text in ((interface, data), (Interface("physical"), "physical")):
         metadata = Metadata(interface=given, action_dims=(1,) * 5, slots=2, training={})
-        assert json.loads(metadata.to_json())["interface"] == text
-        assert Metadata.from_json(metadata.to_json()) == metadata
+        assert metadata.to_dict()["interface"] == text
+        assert Metadata.from_dict(json.loads(json.dumps(metadata.to_dict()))) == metadata
 
 
 def test_a_law_names_the_field_that_an_interface_lacks():

@@ -25,8 +25,8 @@ def test_without_a_similar_name_all_names_are_listed():
     assert (
         unknown_name("policy", "xyz", KNOWN[:3]) == "unknown policy 'xyz'; choose from static, static-tuned, grounded"
     )
-    message = unknown_name("policy", "xyz", KNOWN[:1], "an .onnx file")
-    assert message == "unknown policy 'xyz'; choose from static, or an .onnx file"
+    message = unknown_name("policy", "xyz", KNOWN[:1], "an .npz file")
+    assert message == "unknown policy 'xyz'; choose from static, or an .npz file"
 
 
 def test_at_most_three_names_are_suggested():
