@@ -7,7 +7,9 @@ from small_suite import BASE
 
 import ptne_env
 from ptne_env import Interface, PolicySpec
-from ptne_env.evaluation import get_policy_spec
+from ptne_env.evaluation import EpisodeSet, Track, get_policy_spec
+from ptne_env.evaluation.comparison import Job
+from ptne_env.execution.runner import content_of
 from ptne_env.perception.observation import LayoutError
 from ptne_env.shared.parts import is_part
 
@@ -36,6 +38,8 @@ def test_an_archive_acts_as_its_model_does_once_it_is_trusted(archive):
     assert policy.interface == Interface("scaled")
     assert policy.is_own
     assert not is_part(policy.policy.target)
+    job = Job(Track("ring", BASE, "The base."), policy, 0, EpisodeSet(1))
+    assert {"stable_baselines3", "torch"} < content_of(job)["versions"].keys()
     env = ptne_env.parallel_env(BASE)
     observations, _ = env.reset(seed=0)
     rows = np.stack(list(observations.values()))

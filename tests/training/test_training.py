@@ -185,7 +185,7 @@ def test_a_policy_that_fails_in_its_validation_is_not_kept(tmp_path, monkeypatch
         return seal(weights, policy.metadata)
 
     monkeypatch.setattr(ppo, "export", broken)
-    with pytest.raises(ValueError, match="the trained policy fails on 'random-energy': .*finite"):
+    with pytest.raises(ValueError, match="the trained policy fails on 'random-energy': step 0: .*(overflow|finite)"):
         ppo.train(SHORT, tmp_path)
     assert not (tmp_path / "policy.npz").exists()
 
@@ -233,9 +233,7 @@ def test_the_exported_policy_acts_like_the_model_over_whole_episodes(algorithm, 
 def test_a_model_that_no_file_can_play_is_not_exported(algorithm, arguments, kind, is_normalised):
     env = PlayerVecEnv(SCENARIO, 1, interface=kind)
     model = algorithm("MlpPolicy", VecNormalize(env) if is_normalised else env, device="cpu", **arguments)
-    with pytest.raises(
-        ValueError, match=r"no file can play this (PPO|SAC) \(a file holds an MlpPolicy .*evaluate"
-    ):
+    with pytest.raises(ValueError, match=r"no file can play this (PPO|SAC) \(a file holds an MlpPolicy .*evaluate"):
         export(model, env.layout)
 
 
