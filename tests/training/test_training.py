@@ -227,7 +227,7 @@ def test_the_exported_policy_acts_like_the_model_over_whole_episodes(algorithm, 
         (PPO, {"policy_kwargs": SMALL | {"squash_output": True}, "use_sde": True}, "scaled", False),
         (PPO, {"policy_kwargs": SMALL}, "physical", False),
         (PPO, {"policy_kwargs": SMALL}, "scaled", True),
-        (SAC, {"policy_kwargs": SMALL, "buffer_size": 1}, "scaled", False),
+        (SAC, {"policy_kwargs": {**SMALL}, "buffer_size": 1}, "scaled", False),
     ],
 )
 def test_a_model_that_no_file_can_play_is_not_exported(algorithm, arguments, kind, is_normalised):
