@@ -323,13 +323,11 @@ def table(out: Path) -> None:
     scored = [track.name for track in suite.tracks if track.scored]
     bests = {track: law("ptne-v1", track)[0] for track in scored}
     shares = {t: float(published.cell("ptne-v1", t, shipped)["mean"]) / bests[t] for t in scored}
-    uncoded = [law("ptne-v1", track, "residual-coder")[0] / bests[track] for track in scored]
     leads = [t for t in scored if float(published.cell("ptne-v1", t, shipped, MINUS_BEST_LAW)["low"] or 0) > 0]
     parts.append(
         f"- It leads the best law on {len(leads)} of {len(shares)} scored tracks, the interval of their difference\n"
         f"  in the same episodes being clear of 0: {', '.join(leads)}.\n"
-        f"- Mean over scored tracks of its digits over those of the best law: {np.mean([*shares.values()]):.3f}; of\n"
-        f"  the best law that does not code, perhaps another on each track, {np.mean(uncoded):.3f}.\n"
+        f"- Mean over scored tracks of its digits over those of the best law: {np.mean([*shares.values()]):.3f}.\n"
         f"- 50 players, after training with at most 12: {shares['crowd-50']:.2f} of the digits of the best law."
     )
     write_atomically(Path(__file__).with_suffix(".md"), TEXT.format(*parts, limit("random-energy-switching")))
@@ -377,9 +375,7 @@ agent-steps, and the others on the track itself for 92,160 ([marl.md](marl.md)).
 
 {3}
 
-The law `residual-coder` is ahead where it codes: its messages are not its beliefs until the last step. The loss, the
-mean logarithm of the distance over all steps, pays for messages that are beliefs, so a code costs the network digits,
-and it is to be compared with the laws that do not. On `liar` the network had 2.1 digits while the largest difference
+On `liar` the network had 2.1 digits while the largest difference
 was its only unit, because a liar is always far: half of a digit came from the unit of the nearest neighbour's
 difference alone, and the rest from training.
 

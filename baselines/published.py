@@ -33,8 +33,8 @@ FAILED = "failed"
 
 TRAINED = "recurrent-random-worlds"
 SHOWN = (
-    *("static", "grounded", "routed-unknown", "relay", "residual-coder"),
-    *("ppo-ptne-v1", TRAINED, "oracle"),
+    *("static", "grounded", "routed-unknown", "relay", "ppo-ptne-v1", TRAINED),
+    *("coded-relay", "coded-network", "oracle"),
 )
 """The policies of the short table of the suite."""
 
@@ -127,10 +127,10 @@ def by_track(numbers: Published, suite: str, policies: Sequence[str]) -> str:
     return markdown([suite.replace("comparison", "scenario"), *policies], rows)
 
 
-def best_law(numbers: Published, suite: str, track: str, without: str = "") -> tuple[str, Row]:
-    """The best law of a track, perhaps but one, and its digits."""
+def best_law(numbers: Published, suite: str, track: str) -> tuple[str, Row]:
+    """The best law of a track, and its digits."""
     rows = numbers.by_policy(suite, track)
-    laws = {name: row for name, row in rows.items() if POLICIES[name].is_law and name != without}
+    laws = {name: row for name, row in rows.items() if POLICIES[name].is_law}
     return max(laws.items(), key=lambda item: float(item[1]["mean"]))
 
 
@@ -170,7 +170,7 @@ def overall(numbers: Published) -> str:
     """Scores and ranks of all policies on ptne-v1, in the order of the leaderboard."""
     rows = [
         [
-            policy,
+            POLICIES[policy].label,
             *(with_interval(numbers.cell("ptne-v1", ALL, policy, metric)) for metric in SHOWN_METRICS),
             plain(numbers.cell("ptne-v1", ALL, policy, "rank")),
         ]
@@ -185,9 +185,9 @@ def lies_in(row: Row, *place: str) -> bool:
 
 
 def best_on(numbers: Published, suite: str, world: str) -> tuple[str, float]:
-    """The best policy of a random world and its digits, but for oracles, those that code, and standing still."""
+    """The best ranked policy of a random world and its digits, but for standing still."""
     rows = numbers.by_policy(suite, world)
-    rivals = [name for name in rows if not (POLICIES[name].is_oracle or name in (*CODED, "zero-input"))]
+    rivals = [name for name in rows if POLICIES[name].is_ranked and name != "zero-input"]
     return max(((name, float(rows[name]["mean"])) for name in rivals), key=lambda item: item[1])
 
 

@@ -2,9 +2,8 @@
 
 It prints the share of the variance between the best entries that the first principal component over the scored tracks
 explains, the entry that leads each track with its lead over the second, and Kendall's τ between the rankings of all
-entries by score with two seeds of the episodes. Oracles are no entries, and ``residual-coder`` counts for τ alone,
-because its messages are not its estimates. Finished jobs are kept in the folder ``--out``, which is that of
-``publish``, and not run again.
+entries by score with two seeds of the episodes. Entries are the policies that have a rank. Finished jobs are kept in
+the folder ``--out``, which is that of ``publish``, and not run again.
 """
 
 from __future__ import annotations
@@ -26,8 +25,6 @@ SEEDS = (0, 1)
 BEST = 8
 """The number of entries that are compared."""
 
-CODER = "residual-coder"
-
 
 def principal_share(digits: npt.ArrayLike) -> float:
     """The share of the variance that the first principal component explains of digits (entries, tracks).
@@ -39,9 +36,9 @@ def principal_share(digits: npt.ArrayLike) -> float:
 
 
 def best_entries(results: Results) -> list[str]:
-    """The best entries by score that do not code and play every scored track."""
+    """The best entries by score that play every scored track."""
     tracks = results.counted_tracks
-    entries = [row.policy for row in leaderboard(results) or () if row.mean_rank is not None and row.policy != CODER]
+    entries = [row.policy for row in leaderboard(results) or () if row.mean_rank is not None]
     return [name for name in entries if all((track, name) in results.samples for track in tracks)][:BEST]
 
 

@@ -357,7 +357,8 @@ def actor(rng, layout, tally, law=None):
     if law or rng.random() < 0.7:
         law = f"law:{law or rng.choice(names_of('law'))}"
         with contextlib.suppress(LayoutError):  # some laws need another interface, or a fixed graph
-            policy, memory = FactorySpec.of(law).build(layout=layout), [None]
+            wrapped = {"policy": FactorySpec.of("law:relay")} if law == "law:coded" else {}
+            policy, memory = FactorySpec.of(law, **wrapped).build(layout=layout), [None]
             tally.parts[law] += 1
 
             def decide(observations):

@@ -71,20 +71,23 @@ _OTHERS = {
         "Bianchi and Grammatico's discrete law: average with the neighbours, then take a gradient step.",
         part("law:projected-gradient", step=0.47, mixing=0.357),
     ),
-    "residual-coder": (
-        "The relay among players who tell each other small digits in code, where all of them understand it.",
-        part("law:residual-coder"),
-    ),
     "proximal-best-response": (
         "Bianchi, Belgioioso and Grammatico's law: proximal best responses, and averages with neighbours.",
         part("law:proximal-best-response", step=4.0, mixing=0.45),
     ),
 }
+_CODED = {
+    f"coded-{name}": (f"{what}, in code.", part("law:coded", policy=policy))
+    for name, what, policy in (
+        ("relay", "The relay", _COMPARED["relay"][1]),
+        ("network", "The network recurrent-random-worlds", _OTHERS["recurrent-random-worlds"][1]),
+    )
+}
 _SPECIALISTS = {
     f"recurrent-{name}": _recurrent(name, "in games of this scenario")
     for name in ("random-energy-switching", "random-energy-switching-transformed")
 }
-TABLE = _COMPARED | _OTHERS | _SPECIALISTS
+TABLE = _COMPARED | _OTHERS | _CODED | _SPECIALISTS
 """A sentence and the factory spec by name, in the order in which lists show them."""
 
 NO_LAWS = ("zero-input", "random")
@@ -93,5 +96,5 @@ NO_LAWS = ("zero-input", "random")
 COMPARED = tuple(_COMPARED)
 """The default policies on scenarios: laws of the paper, references, the strongest laws, learned policies."""
 
-ENTERED = (*_COMPARED, *_OTHERS)
+ENTERED = (*_COMPARED, *_OTHERS, *_CODED)
 """The default policies on a suite: all but networks that were trained in one scenario, which are slow elsewhere."""

@@ -20,6 +20,12 @@ from ptne_env.shared.files import require_file
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import FactorySpec, foreign_targets, resolve
 
+MARKS = {
+    "*": "an oracle: it uses information that players lack, and has no rank",
+    "‡": "its players send code, so messages are not their estimates; ranked apart",
+}
+"""The marks of policies that are no rivals of others, and what they mean."""
+
 PolicySource: TypeAlias = FactorySpec | Policy | Callable[[ObservationLayout], Policy]
 """A factory spec or a callable that builds the policy from a layout, or the policy itself."""
 
@@ -81,9 +87,25 @@ class PolicySpec:
         return self.interface.is_privileged
 
     @property
+    def mark(self) -> str:
+        """The mark of :data:`MARKS` that the policy has in tables; empty for most."""
+        coded = any(_declared(source, "sends_code") for source in self.training_seeds)
+        return "*" if self.is_oracle else "‡" if coded else ""
+
+    @property
+    def label(self) -> str:
+        """The name with the mark."""
+        return f"{self.name} {self.mark}".rstrip()
+
+    @property
+    def is_ranked(self) -> bool:
+        """Whether the policy is a rival of others: it is no oracle, and its messages are its estimates."""
+        return not self.mark
+
+    @property
     def is_law(self) -> bool:
-        """Whether the policy is a law of :data:`POLICIES` that seeks the equilibrium; an oracle is none."""
-        return self.name in TABLE and not (self.files or self.is_oracle or self.name in NO_LAWS)
+        """Whether the policy is a law of :data:`POLICIES` that seeks the equilibrium, and is ranked."""
+        return self.name in TABLE and self.is_ranked and not (self.files or self.name in NO_LAWS)
 
     @property
     def is_repeatable(self) -> bool:
@@ -174,22 +196,29 @@ def _require_observations_of(layout: ObservationLayout, model: Any) -> None:
         )
 
 
-def _declared_interface(source: PolicySource) -> Interface | None:
-    """Return the interface that a policy declares, as a class, as an object or in its file."""
+def _declared(source: PolicySource, attribute: str) -> Any:
+    """Return an attribute that a policy declares, as a class, as an object or in its file; ``None`` if it does not."""
     policy: Any = source
     if isinstance(source, FactorySpec):
         policy = source.build() if format_of(source) else resolve(source.target)
-    declared: Any = getattr(policy, "interface", None)
+    return getattr(policy, attribute, None)
+
+
+def _declared_interface(source: PolicySource) -> Interface | None:
+    """Return the interface that a policy declares."""
+    declared: Any = _declared(source, "interface")
     kind: Any = declared
     return Interface(kind) if isinstance(declared, str) else declared
 
 
 def _file_of(source: PolicySource) -> str | None:
-    """Return the path, or the name of a shipped file, that a policy is loaded from."""
-    file_format = format_of(source)
-    if file_format is None or not isinstance(source, FactorySpec):
+    """Return the path, or the name of a shipped file, that a policy, or one that it wraps, is loaded from."""
+    if not isinstance(source, FactorySpec):
         return None
-    return str(dict(source.arguments)[file_format.argument])
+    arguments, file_format = dict(source.arguments), format_of(source)
+    if file_format is not None:
+        return str(arguments[file_format.argument])
+    return next(filter(None, map(_file_of, arguments.values())), None)
 
 
 def _source_to_dict(source: PolicySource) -> dict[str, Any]:

@@ -281,9 +281,6 @@ class Results:
         summaries = {name: self.summary(track, name, "digits") for name in ordered}
         return {name: digits for name, digits in summaries.items() if digits is not None and digits.mean is not None}
 
-    def _label(self, policy: str) -> str:
-        return f"{policy} (oracle)" if self.policies[policy].is_oracle else policy
-
     def __repr__(self) -> str:
         policies, tracks = (textwrap.shorten(", ".join(names), 60) for names in (self.policies, self.episodes))
         failed = f", {len(self.failures)} failed" * bool(self.failures)
@@ -299,10 +296,11 @@ class Results:
             count = self.episodes[track.name]
             lines += ["", f"{track.name}, {count} episode{'s' * (count > 1)}: digits, on the way, worst tenth"]
             digits = self.ranked(track.name)
-            width = max((len(self._label(name)) for name in digits), default=0)
-            for name in digits:
+            labels = {name: self.policies[name].label for name in digits}
+            width = max(map(len, labels.values()), default=0)
+            for name, label in labels.items():
                 cells = [_with_interval(self.summary(track.name, name, metric)) for metric in SHOWN]
-                lines.append(f"  {self._label(name):<{width}}  {', '.join(cells)}")
+                lines.append(f"  {label:<{width}}  {', '.join(cells)}")
             lines += [f"  {name} {why}" for (place, name), why in self.reasons.items() if place == track.name]
         return "\n".join(lines)
 

@@ -6,6 +6,7 @@ All of them act through the interfaces that learned policies use. A file holds o
 
 from ptne_env.laws.adaptive import Adaptive as Adaptive
 from ptne_env.laws.base import Law as Law
+from ptne_env.laws.coded import Coded as Coded
 from ptne_env.laws.fixed_time import FixedTime as FixedTime
 from ptne_env.laws.grounded import AdaptiveGrounded as AdaptiveGrounded
 from ptne_env.laws.grounded import Grounded as Grounded
@@ -15,7 +16,6 @@ from ptne_env.laws.references import Oracle as Oracle
 from ptne_env.laws.references import RandomPolicy as RandomPolicy
 from ptne_env.laws.references import ZeroInput as ZeroInput
 from ptne_env.laws.relay import Relay as Relay
-from ptne_env.laws.residual_coder import ResidualCoder as ResidualCoder
 from ptne_env.laws.routed import RoutedUnknown as RoutedUnknown
 from ptne_env.laws.static import CorollaryOne as CorollaryOne
 from ptne_env.laws.static import Static as Static

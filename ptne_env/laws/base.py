@@ -62,7 +62,7 @@ class Law(RowPolicy):
             )
         if not starts.any():
             return np.asarray(memory)
-        return np.where(starts.reshape(rows, *(1,) * len(self._row_shape)), self.initial_memory(rows), memory)
+        return self.select_rows(starts, self.initial_memory(rows), np.asarray(memory))
 
     @cached_property
     def _row_shape(self) -> tuple[int, ...] | None:

@@ -325,6 +325,10 @@ class RecurrentPolicy(RowPolicy):
         other = RecurrentPolicy(self.name, self.weights, layout, self.training)
         return super(RecurrentPolicy, other).with_layout(layout)
 
+    def select_rows(self, mask: BoolArray, fresh: PlayerMemory, old: PlayerMemory) -> PlayerMemory:
+        """Return the memory with the players of ``fresh`` in a mask, whose arrays have players last."""
+        return {name: np.where(mask, fresh[name], value) for name, value in old.items()}
+
     def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - it is deterministic
         """Return the actions (R, n) and the memory, whose ``gates`` are the shares that players copied, (D, n, R).
 
@@ -341,7 +345,7 @@ class RecurrentPolicy(RowPolicy):
             shapes = {"waits": (), "inputs": (layout.dimension,), "gates": (layout.slots, layout.dimension)}
             memory |= {name: np.zeros((*shape, len(rows)), dtype=np.float32) for name, shape in shapes.items()}
         elif starts.any():
-            memory = {name: np.where(starts, np.float32(0), value) for name, value in memory.items()}
+            memory = self.select_rows(starts, {name: np.zeros_like(value) for name, value in memory.items()}, memory)
         repeat, waits = float(self.weights["action_repeat"][0]), memory["waits"]
         if not waits.all():
             # Θ_k and Δt_k/T of the steps for which the action is held.
@@ -350,7 +354,7 @@ class RecurrentPolicy(RowPolicy):
             inputs, after, gates = run_network(self.weights, layout, seen, memory)
             after |= {"waits": np.full_like(waits, repeat), "inputs": inputs, "gates": gates}
             if waits.any():  # players whose episodes began at other times
-                after = {name: np.where(waits > 0, memory[name], value) for name, value in after.items()}
+                after = self.select_rows(waits > 0, memory, after)
             memory = after
         memory = memory | {"waits": memory["waits"] - 1}
         return memory["inputs"].T.copy(), memory

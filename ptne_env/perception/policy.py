@@ -109,6 +109,13 @@ class RowPolicy(ABC):
             raise LayoutError(f"the policy was made for another layout; {'; '.join(differences)}")
         return self
 
+    def select_rows(self, mask: BoolArray, fresh: Any, old: Any) -> Any:
+        """Return the memory with the players of ``fresh`` in a mask, shape (R,), and those of ``old`` elsewhere.
+
+        Memory is an array with a row per player, or ``None``; a subclass with other memory has its own method.
+        """
+        return None if old is None else np.where(mask.reshape(-1, *(1,) * (old.ndim - 1)), fresh, old)
+
     @abstractmethod
     def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:
         """Return actions and memory as :meth:`Policy.predict`, for observations of R players, shape (R, size).

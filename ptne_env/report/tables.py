@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from ptne_env.evaluation.metrics import METRICS, number
-from ptne_env.evaluation.policy_spec import POLICIES
+from ptne_env.evaluation.policy_spec import MARKS, POLICIES
 from ptne_env.evaluation.results import SHOWN, Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
@@ -15,7 +15,6 @@ from ptne_env.execution.verification import Repetition, Verification
 from ptne_env.suites.suite import LAW, Row, leaderboard
 from ptne_env.theory import Certificate
 
-ORACLE_NOTE = "* an oracle: it uses information that players lack, and has no rank"
 DIGITS_NOTE = "digits: 2 is an error of all estimates of 1 %, 3 is an error of 0.1 %; 12 at most"
 BESIDE_NOTE = "on the way: mean digits after every step; worst tenth: mean digits of the worst tenth of the episodes"
 
@@ -126,7 +125,7 @@ def answer_table(results: Results) -> Table:
         cells = _make_cells(results, name, "digits")
         if name in means:
             cells |= dict(zip((score, *BESIDE), map(Cell.plus_minus, means[name]), strict=True))
-        columns.append(Column(_mark_oracle(results, name), cells, f"digits of {name}"))
+        columns.append(Column(results.policies[name].label, cells, f"digits of {name}"))
     counts = sorted({results.episodes[track] for track in tracks})
     episodes = " to ".join(map(str, dict.fromkeys([counts[0], counts[-1]])))
     notes = [DIGITS_NOTE, BESIDE_NOTE]
@@ -134,8 +133,8 @@ def answer_table(results: Results) -> Table:
         notes.append("±n/a: one random episode has no interval")
     if unscored := [track.name for track in results.tracks if not track.scored]:
         notes.append(f"score: the mean of all tracks but {', '.join(unscored)}")
-    if any(spec.is_oracle for spec in results.policies.values()):
-        notes.append(ORACLE_NOTE)
+    present = {spec.mark for spec in results.policies.values()}
+    notes += [f"{mark} {meaning}" for mark, meaning in MARKS.items() if mark in present]
     return Table(
         f"Digits at the deadline ± half of the 95 % interval, {episodes} episode{'s' * (counts[-1] > 1)}",
         "scenario" if results.is_comparison else "track",
@@ -148,7 +147,7 @@ def answer_table(results: Results) -> Table:
 def track_table(results: Results, metric: str) -> Table:
     """Return a metric on every track: a row per track and a column per policy."""
     columns = tuple(
-        Column(_mark_oracle(results, name), _make_cells(results, name, metric), f"{METRICS[metric].heading} of {name}")
+        Column(results.policies[name].label, _make_cells(results, name, metric), f"{METRICS[metric].heading} of {name}")
         for name in order_policies(results)
     )
     tracks = tuple(track.name for track in results.tracks)
@@ -175,7 +174,7 @@ def answer(results: Results) -> tuple[str, ...]:
     own = [name for name in firsts if name not in POLICIES]
     sentences = []
     if not ranked:
-        sentences.append("No policy without an oracle's information has a result.")
+        sentences.append("No policy that is ranked has a result.")
     elif len(firsts) == 1:
         sentences.append(f"{ranked[0]} was compared with no other policy; --policy names others.")
     else:
@@ -209,11 +208,11 @@ def _compare(results: Results, best: str, other: str, noun: str) -> str:
 
 
 def first_places(results: Results) -> dict[str, list[str]]:
-    """Return the counted tracks on which each policy, oracles apart, is first.
+    """Return the counted tracks on which each ranked policy is first.
 
     First are the best policy, and those from which the interval of its lead is not clear of 0.
     """
-    firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if not spec.is_oracle}
+    firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if spec.is_ranked}
     for track in results.counted_tracks:
         best, *others = [name for name in results.ranked(track) if name in firsts] or [""]
         leads = {other: results.difference(best, other, track) for other in others}
@@ -245,7 +244,7 @@ def leaders(results: Results) -> dict[str, str]:
     policy may be several of these.
     """
     specs = results.policies
-    names = [name for name in _rank_policies(results) if not specs[name].is_oracle]
+    names = [name for name in _rank_policies(results) if specs[name].is_ranked]
     kinds = {
         "the paper's law": [name for name in names if name == LAW],
         "the best law": [name for name in names if specs[name].is_law],
@@ -266,9 +265,10 @@ def _rank_policies(results: Results) -> list[str]:
     """
     means = means_over_tracks(results)
 
-    def key(name: str) -> tuple[bool, int, float, float]:
+    def key(name: str) -> tuple[bool, bool, int, float, float]:
         missing = 0 if name in means else sum(policy == name for _, policy in results.reasons)
-        return results.policies[name].is_oracle, missing, *standing(*means.get(name, (None, None))[:2])
+        spec = results.policies[name]
+        return spec.is_oracle, not spec.is_ranked, missing, *standing(*means.get(name, (None, None))[:2])
 
     return sorted(results.policies, key=key)
 
@@ -296,13 +296,13 @@ def track_tables(results: Results, track: Track) -> list[Table]:
     names, blocks = order_policies(results), dict[str, list[Column]]()
     for metric in METRICS.values():
         cells = {
-            _mark_oracle(results, name): _find_verdict(results, track.name, name)
+            results.policies[name].label: _find_verdict(results, track.name, name)
             or Cell.of(results.summary(track.name, name, metric.name))
             for name in names
         }
         if any(cell.value is not None for cell in cells.values()):
             blocks.setdefault(metric.block, []).append(Column(metric.label, cells, metric.meaning))
-    rows, notes = tuple(_mark_oracle(results, name) for name in names), _list_reasons(results, [track.name])
+    rows, notes = tuple(results.policies[name].label for name in names), _list_reasons(results, [track.name])
     return [
         Table(f"{track.name}: {block.lower()}", "policy", rows, tuple(columns), () if index else notes)
         for index, (block, columns) in enumerate(blocks.items())
@@ -332,7 +332,7 @@ def leaderboard_table(results: Results) -> Table | None:
     board = leaderboard(results)
     if board is None:
         return None
-    rows = {_mark_oracle(results, row.policy): row for row in board}
+    rows = {results.policies[row.policy].label: row for row in board}
 
     def column(label: str, meaning: str, cell: Callable[[Row], Cell]) -> Column:
         return Column(label, {name: cell(row) for name, row in rows.items()}, meaning)
@@ -345,13 +345,9 @@ def leaderboard_table(results: Results) -> Table | None:
             column("score", "mean digits over tracks", lambda row: Cell.plus_minus(row.score)),
             column(BESIDE[0], "mean digits on the way over tracks", lambda row: Cell.plus_minus(row.on_the_way)),
             column(BESIDE[1], "mean over tracks", lambda row: Cell.plus_minus(row.worst_tenth)),
-            column("mean rank", "over tracks, oracles apart", lambda row: Cell.of(row.mean_rank)),
+            column("mean rank", "over tracks, among policies without a mark", lambda row: Cell.of(row.mean_rank)),
         ),
     )
-
-
-def _mark_oracle(results: Results, name: str) -> str:
-    return f"{name} *" if results.policies[name].is_oracle else name
 
 
 def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:

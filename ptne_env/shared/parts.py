@@ -70,11 +70,11 @@ PARTS: Mapping[str, str] = {
     "disturbance:uniform": "ptne_env.world.disturbances:UniformDisturbance",
     "law:adaptive": "ptne_env.laws:Adaptive",
     "law:adaptive-grounded": "ptne_env.laws:AdaptiveGrounded",
+    "law:coded": "ptne_env.laws:Coded",
     "law:corollary-one": "ptne_env.laws:CorollaryOne",
     "law:fixed-time": "ptne_env.laws:FixedTime",
     "law:grounded": "ptne_env.laws:Grounded",
     "law:relay": "ptne_env.laws:Relay",
-    "law:residual-coder": "ptne_env.laws:ResidualCoder",
     "law:oracle": "ptne_env.laws:Oracle",
     "law:projected-gradient": "ptne_env.laws:ProjectedGradient",
     "law:proximal-best-response": "ptne_env.laws:ProximalBestResponse",
@@ -341,13 +341,13 @@ class FactorySpec:
         return _unpickle, (self.target, self.arguments, resolve(self.target))
 
     def build(self, /, **extra: Any) -> Any:
-        """Import the target and call it with the arguments and with ``extra`` ones of the caller.
+        """Import the target and call it with the arguments and with the caller's ``extra`` ones, as nested parts are.
 
         Raises:
             ValueError: when the target cannot be imported or refuses the arguments.
         """
         target = resolve(self.target)
-        arguments = {name: _replace_specs(value, FactorySpec.build) for name, value in self.arguments}
+        arguments = {name: _replace_specs(value, lambda spec: spec.build(**extra)) for name, value in self.arguments}
         try:
             return target(**arguments, **extra)
         except (TypeError, AttributeError, LookupError, ArithmeticError) as error:  # typical effects of wrong arguments

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -181,7 +182,7 @@ class Row:
         on_the_way: the mean of its digits on the way.
         worst_tenth: the mean over tracks of its digits in the worst tenth of the episodes.
         mean_rank: its mean rank by digits, 1 being best, and by digits on the way where digits are equal to two
-            decimals; ``None`` for oracles.
+            decimals; ``None`` for oracles, and for policies that send code.
     """
 
     policy: str
@@ -192,11 +193,14 @@ class Row:
 
 
 def leaderboard(results: Results) -> tuple[Row, ...] | None:
-    """Return the rows of a suite, the best first and oracles last; ``None`` for a comparison, or without scores."""
+    """Return the rows of a suite, the best first and those without a rank last.
+
+    It is ``None`` for a comparison, or without scores.
+    """
     tracks = [track.name for track in results.tracks if track.scored]
     if results.is_comparison or not tracks:
         return None
-    ranked = [name for name, spec in results.policies.items() if not spec.is_oracle]
+    ranked = [name for name, spec in results.policies.items() if spec.is_ranked]
     ranks: dict[str, list[int]] = {name: [] for name in ranked}
     for track in tracks:
         standings = {name: results.standing(track, _counted_policy(results, track, name)) for name in ranked}
@@ -207,7 +211,9 @@ def leaderboard(results: Results) -> tuple[Row, ...] | None:
         for name in results.policies
         for score, on_the_way, worst_tenth in [[_over_tracks(results, tracks, name, metric) for metric in SHOWN]]
     ]
-    return tuple(sorted(rows, key=lambda row: (row.mean_rank is None, *standing(row.score, row.on_the_way))))
+    oracles = {name: spec.is_oracle for name, spec in results.policies.items()}
+    order = [(oracles[row.policy], row.mean_rank is None, *standing(row.score, row.on_the_way)) for row in rows]
+    return tuple(row for _, row in sorted(zip(order, rows, strict=True), key=itemgetter(0)))
 
 
 def _counted_policy(results: Results, track: str, policy: str) -> str:

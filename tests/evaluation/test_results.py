@@ -36,7 +36,7 @@ def test_the_printed_text_has_a_line_per_track_and_policy_the_best_first(results
     _, energy, other = str(replace(results, failures={("non-quadratic", "mine"): reason})).split("\n\n")
     title, *lines = energy.splitlines()
     assert title == "energy, 6 episodes: digits, on the way, worst tenth"
-    assert [line.split("  ")[1] for line in lines] == ["oracle (oracle)", "static", "zero-input", "random"]
+    assert [line.split("  ")[1] for line in lines] == ["oracle *", "static", "zero-input", "random"]
     cells = []
     for metric in ("digits", "digits_on_the_way", "digits_cvar"):
         mean, low, high = (number(results.record("energy", "static", metric)[key]) for key in ("mean", "low", "high"))

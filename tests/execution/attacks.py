@@ -12,7 +12,7 @@ import numpy as np
 
 from ptne_env.evaluation.audit import Witness, rows_of_one, with_links_of
 from ptne_env.evaluation.rollout import rollout
-from ptne_env.laws import Law, Relay, ResidualCoder
+from ptne_env.laws import Coded, Law, Relay
 from ptne_env.laws.base import per_step
 from ptne_env.perception.encoder import Encoder
 from ptne_env.suites import get_suite
@@ -186,14 +186,14 @@ CODER = partial(Equations, size=1.0)
 
 def main(episodes):
     """Print the table."""
-    print("| track | room | relay | loud | coder | coder that fills the range | residual-coder |")
+    print("| track | room | relay | loud | coder | coder that fills the range | residuals |")
     print("| --- " + "| ---: " * 6 + "|")
     for track in get_suite("ptne-v1").tracks:
         if track.scored:
             count, name = min(episodes, track.episodes or episodes), track.name
             base = played(track, Relay, count).mean(axis=1)
             cells = [f"{room(track, count):.2f}", "{:.2f} / {:.2f}".format(*base)]
-            attacks = LOUD.get(name, Loud), CODER, Equations, ResidualCoder
+            attacks = LOUD.get(name, Loud), CODER, Equations, partial(Coded, policy=Relay)
             gains = (played(track, attack, count).mean(axis=1) - base for attack in attacks)
             cells += ["{:+.2f} / {:+.2f}".format(*gain) for gain in gains]
             print(f"| {name} | {' | '.join(cells)} |", flush=True)

@@ -3,12 +3,15 @@
 And relabelling the players permutes the results: no law prefers a player for its number.
 """
 
+from functools import partial
+
 import numpy as np
 import pytest
 from affine_games import SOAK
 from worlds import begin, energy_scenario, every_field, fixed_part, make_env, play, world_and_encoder
 
 from ptne_env import FactorySpec, laws
+from ptne_env.laws import Coded, Relay
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.fields import FIELDS
 from ptne_env.shared.parts import PARTS, resolve
@@ -18,6 +21,7 @@ LAWS = {part: law for part in PARTS if part.startswith("law:") and issubclass(la
 del LAWS["law:oracle"]  # the only one that may read what its player cannot know
 RELATIVE = [part for part, law in LAWS.items() if "own_estimate" not in law.needs]
 """Laws that need no absolute strategies, so that they also act through the interface ``scaled``."""
+LAWS["law:coded"] = partial(Coded, policy=Relay)
 CASES = [*((law, "physical") for law in LAWS), *((law, "scaled") for law in RELATIVE)]
 STEPS = 150 if SOAK else 50
 
@@ -108,7 +112,7 @@ def test_scrambling_hidden_information_changes_no_field(name, interface, modes):
         assert np.array_equal(seen, twin.layout.select(twin.observe(scrambled), name)[0, player])
 
 
-@pytest.mark.parametrize(("law", "kind"), [case for case in CASES if case[0] != "residual-coder"])  # signs of places
+@pytest.mark.parametrize(("law", "kind"), CASES)
 def test_relabelling_the_players_permutes_the_results(law, kind):
     adjacency = np.zeros((5, 5))  # a tree with a triangle and unequal weights: no symmetry
     for (i, j), weight in {(0, 1): 1.0, (1, 2): 0.7, (0, 2): 1.2, (2, 3): 0.9, (3, 4): 1.1}.items():

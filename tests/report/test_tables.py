@@ -148,7 +148,7 @@ def test_policies_that_win_different_episodes_are_not_told_apart(comparison):
     ("names", "expected"),
     [
         (["static", "zero-input"], ["static comes closest to the Nash equilibrium by the deadline on energy."]),
-        (["oracle"], ["No policy without an oracle's information has a result."]),
+        (["oracle"], ["No policy that is ranked has a result."]),
         (["zero-input"], ["zero-input was compared with no other policy; --policy names others."]),
     ],
 )

@@ -1,15 +1,15 @@
-"""The residual coder: the relay among players who say in code what the channel would drown."""
+"""Code as a transport: a wrapper whose players say in code what the channel would drown, around any policy."""
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from ptne_env.laws.base import RecordLaw, per_step
-from ptne_env.laws.relay import Relay
-from ptne_env.perception.observation import Observation, ObservationLayout
-from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray
+from ptne_env.laws.base import per_step
+from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
+from ptne_env.perception.policy import RowPolicy
+from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 _FILL, _GAP = 0.95, 0.1
 """Share of the reach that code fills, and share of that below which there is no code, so that its sign is clear."""
@@ -34,69 +34,78 @@ class CoderMemory(NamedTuple):
     """What R players remember from step to step."""
 
     steps: FloatArray  # number of steps so far, shape (R, 1)
-    alone: FloatArray  # the step from which the player follows relay, infinite while it talks, shape (R, 1)
+    alone: FloatArray  # the step from which the player sends no code, infinite while it does, shape (R, 1)
     error: FloatArray  # the largest error of plain messages so far, -1 while none is known, shape (R, 1)
     sent: FloatArray  # the estimates that the last input asked for, shape (R, n)
     meant: FloatArray  # z, the estimates as they are meant, shape (R, n)
-    gradient: FloatArray  # the own gradient there, shape (R, n)
+    gradient: FloatArray  # the own gradient there, shape (R, m)
     live: FloatArray  # whether both messages of the round have arrived, shape (R, D)
     plain: FloatArray  # the plain message of the round, shape (R, D, n)
     heard: FloatArray  # what the last round told, shape (R, D, n)
-    relay: FloatArray  # the memory of relay, shape (R, size)
+    has_acted: FloatArray  # whether the wrapped policy has decided before, shape (R, 1)
 
 
-class ResidualCoder(RecordLaw):
-    """A relay among players who tell each other small digits in code, which makes them large.
+class Coded(RowPolicy):
+    """A policy whose players tell each other small digits in code, which makes them large.
 
     A round has two steps. In the first the estimates are z, in the second A (z mod g), which fills the range: who knows
-    z to g/2 then knows it A times as well as the channel says it. After the round relay moves z by what was
-    told. The sign of code, which alternates over places and rounds, shows that it is code, and which A. A player uses
-    the large A where the errors that it hears are small. Otherwise z rests for three rounds with A, A² and A³.
+    z to g/2 then knows it A times as well as the channel says it. After the round the wrapped policy decides from what
+    was told, and moves z. The sign of code, which alternates over places and rounds, shows that it is code, and which
+    A. A player uses the large A where the errors that it hears are small. Otherwise z rests for three rounds with A, A²
+    and A³.
 
     Only estimates of others carry code: the own strategy is z, and is told in the place of another component, in every
-    cycle of rounds another one. In the first rounds z rests. A player gives up for good, and follows relay,
-    where messages are exact or too wrong, a neighbour tells no code, or its inputs do not reach; its neighbours follow.
+    cycle of rounds another one. In the first rounds z rests. A player gives up code for good, and follows the wrapped
+    policy in every step, where messages are exact or too wrong, a neighbour tells no code, or its inputs do not reach;
+    its neighbours follow.
+
+    Messages are then no estimates, so tables mark such a policy, and rank it apart.
 
     Args:
         layout: the layout of the environment, with the interface ``physical``.
+        policy: the policy to wrap, a law or a network that acts through ``physical``, or what builds it from a layout.
 
     Raises:
-        LayoutError: for another interface.
+        LayoutError: for another interface, of the layout or of the policy.
     """
 
-    needs: ClassVar[tuple[str, ...]] = ("own_estimate",)
+    interface: ClassVar[Interface] = Interface("physical")
+    sends_code: ClassVar[bool] = True
 
-    def __init__(self, layout: ObservationLayout) -> None:
-        super().__init__(layout)
+    def __init__(self, layout: ObservationLayout, policy: Any) -> None:
+        if isinstance(policy, type) or not hasattr(policy, "predict"):
+            policy = policy(layout)
+        for interface in (layout.interface, getattr(policy, "interface", self.interface)):
+            if interface != self.interface:
+                raise LayoutError(f"code needs a policy and a layout of {self.interface}, got {interface}")
+        self.layout, self.made_for = layout, {"size": layout.size}
+        self.policy: RowPolicy = policy.with_layout(layout)
         _, self.end, step, first = layout.largest_clock
-        self.relay, dims = Relay(layout), max(layout.action_dims)
+        dims = max(layout.action_dims)
         self.most = _FILL * min(layout.message_range, layout.action_bound * step / 2)
         self.centre, self.span = self.most * (1 + _GAP) / 2, self.most * (1 - _GAP)
         cycle = 2 * _LEVELS
         self.begin = cycle * ((layout.dimension + 2 * dims + 6) // cycle + 1)
-        talks = first * _FEWEST * self.begin <= 1 and 2 * dims <= layout.dimension
-        none, estimates = np.zeros((1, 1)), np.zeros((1, layout.dimension))
-        messages = np.zeros((1, layout.slots, layout.dimension))
-        self.start = CoderMemory(
-            steps=none,
-            alone=none + (np.inf if talks else 0.0),
-            error=none - 1,
-            sent=estimates,
-            meant=estimates,
-            gradient=estimates,
-            live=messages[:, :, 0],
-            plain=messages,
-            heard=messages,
-            relay=self.relay.initial_memory(1),
-        )
+        self.talks = first * _FEWEST * self.begin <= 1 and 2 * dims <= layout.dimension
 
-    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        was, estimate = self.unpack(memory), observation.own_estimate
+    def _start(self, rows: int) -> CoderMemory:
+        """Return the memory of players at the start of an episode."""
+        none, estimates = np.zeros((rows, 1)), np.zeros((rows, self.layout.dimension))
+        messages = np.zeros((rows, self.layout.slots, self.layout.dimension))
+        alone, gradient = none + (np.inf if self.talks else 0.0), np.zeros((rows, max(self.layout.action_dims)))
+        slots = messages[:, :, 0]
+        return CoderMemory(none, alone, none - 1, estimates, estimates, gradient, slots, messages, messages, none)
+
+    def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:
+        observation, start = self.layout.read(rows), self._start(len(rows))
+        was, inner = (start, None) if memory is None else memory
+        was = CoderMemory(*(self.select_rows(starts, *parts) for parts in zip(start, was, strict=True)))
+        estimate, gradient = observation.own_estimate, self.layout.select(rows, "own_gradient")
         talks, opens, rounds = np.isinf(was.alone), was.steps % 2 == 0, was.steps // 2
         content, arrives = estimate[:, None] + observation.relative_estimates, observation.weights > 0
         now = was._replace(
             meant=np.where(opens, estimate, was.meant),
-            gradient=np.where(opens, observation.gradient, was.gradient),
+            gradient=np.where(opens, gradient, was.gradient),
             live=np.where(opens, arrives, arrives * was.live),
             plain=np.where(opens[:, :, None], content, was.plain),
         )
@@ -110,23 +119,34 @@ class ResidualCoder(RecordLaw):
 
         follows = was.steps >= was.alone
         moves = ends & ~fails & (was.steps >= self.begin) & (self._is_fine(now) | (rounds % _LEVELS == _LEVELS - 1))
-        difference = np.where(now.live[:, :, None] > 0, told - now.meant[:, None], 0.0)
-        relayed, relay = self.relay.inputs(
-            observation._replace(
-                own_estimate=np.where(moves, now.meant, estimate),
-                relative_estimates=np.where(moves[:, :, None], difference, observation.relative_estimates),
-                weights=np.where(moves, observation.weights * now.live, observation.weights),
-                gradient=np.where(moves, now.gradient, observation.gradient),
-            ),
-            was.relay,
-        )
-        meant = now.meant + np.where(moves, relayed * observation.theta, 0.0)
+        acts, moved = (follows | moves)[:, 0], np.zeros_like(estimate)
+        if acts.any():
+            difference = np.where(now.live[:, :, None] > 0, told - now.meant[:, None], 0.0)
+            meant = {
+                "own_estimate": now.meant,
+                "own_gradient": now.gradient,
+                "relative_estimates": difference.reshape(len(rows), -1),
+                "weights": observation.weights * now.live,
+            }
+            seen = rows.copy()
+            for name, values in meant.items():
+                part = self.layout.slices[name]
+                seen[:, part] = np.where(moves, values, seen[:, part])
+            actions, after = self.policy.predict(seen, inner, was.has_acted[:, 0] == 0, deterministic)
+            inner = after if inner is None else self.policy.select_rows(acts, after, inner)
+            moved = np.where(acts[:, None], actions * observation.theta, 0.0)
+        intended = now.meant + np.where(moves, moved, 0.0)
         codes = talks & opens & (self.end - observation.transformed > 1.5 * observation.theta)
-        sent = np.where(codes, self._encode(observation.player, now, rounds), meant)
-        inputs = np.where(follows, relayed, per_step(sent - estimate, observation))
-        relay = np.where(follows | moves, relay, was.relay)
-        fresh = now._replace(steps=was.steps + 1, alone=alone, sent=sent, meant=meant, relay=relay)
-        return inputs, self.pack(fresh)
+        sent = np.where(codes, self._encode(observation.player, now, rounds), intended)
+        displacement = np.where(follows, moved, sent - estimate)
+        fresh = now._replace(
+            steps=was.steps + 1,
+            alone=alone,
+            sent=sent,
+            meant=intended,
+            has_acted=np.maximum(was.has_acted, acts[:, None]),
+        )
+        return self.layout.write(per_step(displacement, observation), observation), (fresh, inner)
 
     def _places(self, players: IntArray, rounds: FloatArray, is_fine: BoolArray) -> IntArray:
         """Return the component that each place of code tells, -1 at own places; (...) and (..., 1) to (..., n)."""

@@ -1,0 +1,83 @@
+"""Code as a transport: it gains digits where it can, and costs little where it cannot."""
+
+import numpy as np
+import pytest
+from worlds import begin, world_and_encoder
+
+from ptne_env import FactorySpec, evaluate, get_scenario
+from ptne_env.evaluation import get_policy_spec
+from ptne_env.laws import Coded, Static
+from ptne_env.perception.observation import LayoutError
+from ptne_env.suites import get_suite, leaderboard, run_suite
+from ptne_env.world import dynamics
+
+PAIR = ["relay", "coded-relay"]
+DELAYED = get_scenario("random-energy").replace(
+    name="delayed",
+    message_range=100.0,
+    channel=FactorySpec.of(
+        "channel:chain",
+        stages=[FactorySpec.of("channel:delay", steps=3), FactorySpec.of("channel:noise", std=0.001)],
+    ),
+)
+
+
+def gain(world):
+    """The mean digits that code gains over relay."""
+    results = evaluate(PAIR, [world], episodes=10)
+    plain, coded = (results.samples[world.name, law]["digits"].mean() for law in PAIR)
+    return coded - plain
+
+
+@pytest.mark.parametrize(("name", "least"), [("rounding", 0.5), ("uneven-box", 1.2)])
+def test_code_gains_digits(name, least):
+    """So no document may say that code is useless."""
+    assert gain(get_suite("ptne-v1").track(name)) > least
+
+
+@pytest.mark.parametrize("world", [DELAYED, *map(get_suite("ptne-v1").track, ["strangers", "short-deadline"])])
+def test_players_whose_code_is_not_understood_play_the_relay(world):
+    """The first rounds, in which they find out, cost some digits."""
+    assert gain(world) > -0.5
+
+
+def test_any_policy_wears_code_and_is_then_ranked_apart():
+    """The network remembers in another form than laws do; code helps it where prices saturate, too."""
+    results = run_suite("ptne-v1", ["recurrent-random-worlds", "coded-network", "relay"], tracks="curved", episodes=8)
+    assert results.difference("coded-network", "recurrent-random-worlds", "curved").low > 0.5
+    board = {row.policy: row.mean_rank for row in leaderboard(results)}
+    assert list(board)[-2:] == ["coded-network", "oracle"]
+    assert board["coded-network"] is None
+    assert board["recurrent-random-worlds"] == 1
+
+
+@pytest.mark.parametrize("name", ["coded-relay", "coded-network"])
+def test_players_whose_episodes_began_at_other_times_decide_as_they_would_alone(name):
+    world, encoder = world_and_encoder(get_suite("ptne-v1").track("curved").scenario)
+    policy = get_policy_spec(name).build(encoder.layout)
+
+    def run_alone(seed, steps):
+        state, memory, rows, actions = begin(world, [seed]), None, [], []
+        for _ in range(steps):
+            rows.append(encoder.observe(state)[0])
+            decided, memory = policy.predict(rows[-1], memory)
+            actions.append(decided)
+            state = dynamics.step(world, state, encoder.decode(decided[None], state))
+        return rows, actions
+
+    runs = [run_alone(0, 60), run_alone(1, 31), run_alone(2, 29)]
+    first, second = (before + after for before, after in zip(runs[1], runs[2], strict=True))
+    memory = None
+    for step in range(60):
+        starts = np.repeat([step == 0, step in (0, 31)], 5)
+        actions, memory = policy.predict(np.concatenate([runs[0][0][step], first[step]]), memory, starts)
+        assert np.array_equal(actions, np.concatenate([runs[0][1][step], second[step]]))
+
+
+def test_code_needs_natural_units():
+    _, encoder = world_and_encoder("random-energy", kind="scaled")
+    with pytest.raises(LayoutError, match="code needs"):
+        Coded(encoder.layout, Static)
+    _, encoder = world_and_encoder("random-energy")
+    with pytest.raises(LayoutError, match="code needs"):
+        Coded(encoder.layout, get_policy_spec("ppo-random-energy").policy.build())
