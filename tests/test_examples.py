@@ -22,12 +22,13 @@ def test_readme_lists_every_example():
 
 
 def quick_copy(example, folder):
-    """A copy with fewer episodes and agent-steps; the test is skipped where a library is missing."""
+    """A copy with fewer episodes, environments and agent-steps; the test is skipped where a library is missing."""
     source = example.read_text("utf-8")
     for library in ("stable_baselines3", "tensorboard", "wandb"):
         if library in source:
             pytest.importorskip(library, reason=f"needs {library}")
-    source = re.sub(r"(?i)\b(episodes ?= ?)\d+", r"\g<1>2", source).replace("learn(150_000", "learn(4_000")
+    source = re.sub(r"(?i)\b(episodes ?= ?)\d+", r"\g<1>2", source).replace("learn(150_000", "learn(2_000")
+    source = source.replace("num_envs=32", "num_envs=4")
     copy = folder / example.name
     copy.write_text(source, encoding="utf-8")
     return copy
