@@ -14,7 +14,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
 
-from baselines import marl
 from baselines.published import (
     ALL,
     FAILED,
@@ -135,8 +134,6 @@ def main() -> None:
         text = fill_tables(document.read_text(encoding="utf-8"), numbers)
         if path == RESULTS:
             write_atomically(document, text)
-    if path == RESULTS:
-        marl.write_page()
 
 
 if __name__ == "__main__":

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from statistics import fmean
 from typing import get_args
 
 import numpy as np
@@ -24,24 +22,20 @@ from ptne_env.world.world import World
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "baselines" / "results.csv"
-ALGORITHMS = ROOT / "baselines" / "marl.json"
 SEEN, *FRESH = WORLDS = {"robustness": 1, "robustness-2": 2, "robustness-3": 3, "robustness-4": 4}
 """The suites of random worlds, and their seeds: on those of seed 1 laws may be tuned, the others are fresh."""
 
 FAILED = "failed"
 """The metric that is 1 where a policy raised an error, or answered in another form."""
 
-TRAINED = "recurrent-random-worlds"
+TRAINED, PPO = "recurrent-random-worlds", "ppo-ptne-v1"
 SHOWN = (
-    *("static", "grounded", "routed-unknown", "relay", "ppo-ptne-v1", TRAINED),
+    *("static", "grounded", "routed-unknown", "relay", PPO, TRAINED),
     *("coded-relay", "coded-network", "oracle"),
 )
 """The policies of the short table of the suite."""
 
 SHOWN_ON_WORLDS = ("static", "grounded", "routed-unknown", "relay", TRAINED)
-CODED = ("residual-coder",)
-"""The entries whose messages are not their estimates: no rivals of others."""
-
 SHOWN_ON_SCENARIOS = ("static", "grounded", "routed-unknown", "relay", "ppo-random-energy", "oracle")
 NEAR = 0.5
 """Digits by which a policy may miss the best one and is near."""
@@ -134,36 +128,22 @@ def best_law(numbers: Published, suite: str, track: str) -> tuple[str, Row]:
     return max(laws.items(), key=lambda item: float(item[1]["mean"]))
 
 
-def best_standard(numbers: Published, track: str) -> str:
-    """The best policy of a standard algorithm: the shipped PPO, or on some tracks those of ``marl.json``."""
-    row = numbers.cell("ptne-v1", track, "ppo-ptne-v1")
-    digits = {} if row is None else {"ppo": float(row["mean"])}
-    trained = json.loads(ALGORITHMS.read_text(encoding="utf-8"))["runs"]["ptne-v1"]
-    for name, runs in trained.get(track, {}).items():
-        mean = fmean(fmean(run["absolute_metrics"]["digits"]) for run in runs.values())
-        digits[name] = max(mean, digits.get(name, mean))
-    name = max(digits, key=lambda name: digits[name], default="")
-    return f"{digits[name]:.2f} {name}" if name else "–"
-
-
 def headline(numbers: Published) -> str:
-    """The paper's law, the best law, the best standard algorithm and the recurrent network on each track of ptne-v1.
+    """The paper's law, the best law, PPO and the recurrent network on each track of ptne-v1.
 
     Of the best law and the network, the one that leads is bold: the interval of their paired difference is clear of 0.
     """
     rows = []
     for track in (*numbers.names("track", "ptne-v1"), ALL):
         name, best = best_law(numbers, "ptne-v1", track)
-        paper, trained = (plain(numbers.cell("ptne-v1", track, policy)) for policy in ("static", TRAINED))
+        paper, ppo, trained = (plain(numbers.cell("ptne-v1", track, policy)) for policy in ("static", PPO, TRAINED))
         lead = summary(numbers.cell("ptne-v1", track, TRAINED, MINUS_BEST_LAW))
         law = f"{plain(best)} {name}"
         if lead is not None and lead.low is not None and lead.high is not None:
             trained, law = f"**{trained}**" if lead.low > 0 else trained, f"**{law}**" if lead.high < 0 else law
-        cells = [paper, law, best_standard(numbers, track), trained]
+        cells = [paper, law, ppo, trained]
         rows.append(["**score**" if track == ALL else track, *cells])
-    return markdown(
-        ["track", "the paper's law", "best law", "best standard algorithm", "trained through the world"], rows
-    )
+    return markdown(["track", "the paper's law", "best law", "PPO", "trained through the world"], rows)
 
 
 def overall(numbers: Published) -> str:
@@ -224,8 +204,7 @@ def shortfalls(numbers: Published, suites: Sequence[str]) -> str:
             near, count = sum(shortfall <= NEAR for shortfall in behind), len(failures(numbers, suites, policy))
             mean = estimate([np.array([behind])])
             interval = with_interval({key: "" if end is None else str(end) for key, end in vars(mean).items()})
-            label = f"{policy} ‡" if policy in CODED else policy
-            cells = [label, str(count), f"{near} of {len(behind)}", interval, f"{max(behind):.2f}"]
+            cells = [POLICIES[policy].label, str(count), f"{near} of {len(behind)}", interval, f"{max(behind):.2f}"]
             rows.append((sum(behind) / len(behind), cells))
     headings = ["policy", "failures", f"within {NEAR} of the best", "mean shortfall", "worst shortfall"]
     return markdown(headings, [cells for _, cells in sorted(rows)])

@@ -31,7 +31,7 @@ TUNED: dict[str, dict[str, tuple[float, float]]] = {
 }
 """The range of each constant, searched on a logarithmic scale, by entry."""
 
-TRACKS = ("switching-physical", "switching-transformed", "rough-links", "rounding")
+TRACKS = ("switching-physical", "switching-transformed", "short-deadline", "rounding")
 """Tracks of ptne-v1 with noise on the way."""
 
 OUTPUT = Path(__file__).parent / "tuned.csv"

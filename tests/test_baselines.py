@@ -9,7 +9,7 @@ import pytest
 import release_check
 from scipy import stats
 
-from baselines import learned, marl, publish, published, ranking, tune
+from baselines import learned, publish, published, ranking, tune
 from ptne_env import CATALOGUE
 from ptne_env.evaluation import ENTERED, POLICIES, EpisodeSet
 from ptne_env.evaluation.comparison import Job
@@ -146,37 +146,6 @@ def test_one_principal_component_explains_tracks_that_rank_alike_and_not_others(
     alike = np.outer(generator.normal(size=8), [1.0, 2.0, 5.0])
     assert ranking.principal_share(alike) == pytest.approx(1)
     assert ranking.principal_share(np.linalg.qr(generator.normal(size=(8, 3)))[0]) < 0.6
-
-
-def test_a_stopped_training_of_the_fields_algorithms_goes_on_where_it_stopped(tmp_path, monkeypatch):
-    pytest.importorskip("stable_baselines3", reason="needs the extra 'sb3'")
-    played = []
-
-    def measured(*_):
-        played.append(len(played))
-        if len(played) == 3:
-            raise KeyboardInterrupt
-        return [played[-1]]
-
-    for name, value in {"UNIT": 80, "ENVS": 2, "ROLLOUT": 8, "digits": measured}.items():
-        monkeypatch.setattr(marl, name, value)
-    job = marl.Job("ppo", 0, "short-deadline", 0, 240)
-    with pytest.raises(KeyboardInterrupt):
-        marl.run(job, tmp_path)
-    assert ["3.00 digits" in marl.run(job, tmp_path), "finished" in marl.run(job, tmp_path)] == [True, True]
-    points = marl.finished(tmp_path)[job]["points"]
-    assert [(point["step_count"], *point["digits"]) for point in points] == [(80, 0), (160, 1), (240, 3)]
-
-
-def test_the_trials_that_lead_after_the_short_run_get_the_long_run_and_the_cheapest_of_equals_is_chosen():
-    ends = {0: {80: 1.0, 240: 9.0}, 1: {80: 3.0, 240: 4.96}, 2: {80: 2.0, 240: 5.0}, 3: {80: marl.FAILED}}
-    found = {}
-    for trial, runs in ends.items():
-        points = [{"step_count": steps, "digits": [digits]} for steps, digits in runs.items()]
-        found[marl.Job("ppo", trial, "short-deadline", marl.TUNING_SEED, max(runs))] = {"points": points, "cpu": trial}
-    tuning = {"tracks": ["short-deadline"], "steps": (80, 240), "finalists": 2}
-    short, long = marl.ranking("ppo", found, tuning)
-    assert ([*short], [*long], marl.chosen(long)) == ([1, 2, 0, 3], [2, 1], 1)
 
 
 def test_players_who_hear_all_reach_the_equilibrium_and_others_do_not_without_a_model_of_the_unheard():

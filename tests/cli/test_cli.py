@@ -331,7 +331,7 @@ def test_json_on_stdout_is_json_alone_when_other_code_prints(words, own_module):
 
 def test_list_names_everything_and_writes_json(run, tmp_path):
     outcome = run("list --json listed.json")
-    for name in ("energy-switching-transformed", "corollary-one", "oracle", "input_energy", "ptne-v1/strangers"):
+    for name in ("energy-switching-transformed", "corollary-one", "oracle", "input_energy", "ptne-v1/long-way"):
         assert name in outcome.out.splitlines()
     listed = json.loads((tmp_path / "listed.json").read_text(encoding="utf-8"))
     assert set(listed) == {"scenarios", "policies", "metrics", "suites"}

@@ -177,8 +177,8 @@ def room(track, episodes, seed=0):
     return np.log10(track.world.message_range / largest)
 
 
-LOUD = {"monotone": partial(Loud, gain=5.0), "rough-links": partial(Loud, wait=25)}
-"""Where not :class:`Loud` itself: the range of monotone is 5 times its strategies, and delays are long."""
+LOUD = {"rotation": partial(Loud, gain=5.0), "rates": partial(Loud, gain=5.0)}
+"""Where not :class:`Loud` itself: the range is 5 times the strategies."""
 
 CODER = partial(Equations, size=1.0)
 """The coder as it was: entries of order one."""

@@ -66,7 +66,7 @@ def test_the_games_that_jax_draws_are_played_at_their_equilibria():
 
 
 def test_an_episode_is_the_same_in_a_batch_of_any_size_and_another_for_another_key():
-    world = ptne_env.jax.JaxWorld(get_suite("ptne-v1").track("rough-links").scenario, pool=20)
+    world = ptne_env.jax.JaxWorld(get_suite("ptne-v1").track("liar").scenario, pool=20)
     alone, together, other = world.reset(key(), 1), world.reset(key(), 3), world.reset(key(1), 1)
     np.testing.assert_array_equal(alone.estimates, together.estimates[..., :1])
     np.testing.assert_array_equal(alone.received.messages, together.received.messages[..., :1])

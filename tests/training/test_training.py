@@ -167,7 +167,6 @@ def test_an_interrupted_run_goes_on_with_the_network_and_optimiser_of_its_last_w
     ("change", "message"),
     [
         ({"scenario": "random-enery"}, "unknown scenario 'random-enery'"),
-        ({"scenario": "ptne-v1/strangers"}, "more than its scenario"),
         ({"minibatches": 100}, "minibatches must be fewer than the 100 samples of a rollout, got 100"),
     ],
 )
