@@ -97,13 +97,13 @@ def test_tables_of_random_worlds_count_failures_and_shortfalls_behind_the_best_r
         return {"suite": "robustness", "track": world, "policy": policy, "metric": metric} | numbers
 
     digits = {
-        "world-001": {"static": "1", "relay": "3", "grounded": "0.5", "residual-coder": "9", "zero-input": "8"},
-        "world-002": {"static": "2", "relay": "1", "grounded": "1.9", "residual-coder": "1", "zero-input": "0"},
+        "world-001": {"static": "1", "relay": "3", "grounded": "0.5", "coded-relay": "9", "zero-input": "8"},
+        "world-002": {"static": "2", "relay": "1", "grounded": "1.9", "coded-relay": "1", "zero-input": "0"},
     }
     rows = [row(world, name, "digits", mean) for world, means in digits.items() for name, mean in means.items()]
     rows += [
         row("world-002", "relay", published.MINUS_PAPER, "-1", "-1.5", "-0.5"),
-        row("world-002", "residual-coder", published.MINUS_PAPER, "-1", "-2.1", "0.1"),
+        row("world-002", "coded-relay", published.MINUS_PAPER, "-1", "-2.1", "0.1"),
         row("world-001", "grounded", "diverged_share", "0.2"),
         row("world-002", "adaptive", published.FAILED, "1"),
     ]
@@ -117,7 +117,7 @@ def test_tables_of_random_worlds_count_failures_and_shortfalls_behind_the_best_r
     assert not any(failing.values())
     lines = published.shortfalls(numbers, published.WORLDS).splitlines()[2:]
     assert "| relay | 1 | 1 of 2 | 0.50 [-5.85, 6.85] | 1.00 |" in lines
-    assert "| residual-coder ‡ | 0 | 1 of 2 | -2.50 [-46.97, 41.97] | 1.00 |" in lines
+    assert "| coded-relay ‡ | 0 | 1 of 2 | -2.50 [-46.97, 41.97] | 1.00 |" in lines
     assert "| adaptive | 1 | 0 of 1 | 2.00 | 2.00 |" in lines  # it counts as standing still where it has failed
     (line,) = (line for line in published.failed_worlds(numbers).splitlines() if "world-002" in line)
     assert line.endswith("| 2.00 | 1.90 | – | **1.00** | – | static 2.00 |")
