@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
 
+from baselines import edge_cases
 from baselines.published import (
     ALL,
     FAILED,
@@ -112,7 +113,8 @@ def run(out: Path, episodes: int | None, workers: Workers) -> Path:
     suite = run_suite("ptne-v1", entered, episodes=episodes, run=runner)
     worlds = [run_suite(robustness(seed), entered, episodes=episodes, run=runner) for seed in WORLDS.values()]
     rows = [row for results in (compared, suite) for row in rows_of(results)]
-    rows += [row for results in worlds for row in rows_of_worlds(results)]
+    edges = run_suite(edge_cases.SUITE, entered, episodes=episodes, run=runner)
+    rows += [row for results in (*worlds, edges) for row in rows_of_worlds(results)]
     lines = [COLUMNS, *([row.get(key, "") for key in COLUMNS] for row in rows)]
     path = RESULTS if episodes is None else out / RESULTS.name
     write_atomically(path, "".join(f"{','.join(line)}\n" for line in lines))

@@ -225,6 +225,16 @@ def failed_worlds(numbers: Published) -> str:
     return markdown(["world", *SHOWN_ON_WORLDS, "best"], rows)
 
 
+def edges(numbers: Published) -> str:
+    """The digits of all policies in the edge cases."""
+    names, suite = numbers.names("track", "edge-cases"), "edge-cases"
+    rows = [
+        [POLICIES[policy].label, *(plain(numbers.cell(suite, name, policy)) for name in names)]
+        for policy in numbers.names("policy", suite)
+    ]
+    return markdown(["policy", *names], rows)
+
+
 def all_policies(numbers: Published, suite: str) -> str:
     """All policies on every track, the best first, with intervals."""
     rows = [
@@ -256,6 +266,7 @@ TABLES: dict[str, Callable[[Published], str]] = {
     "robustness-seen": lambda numbers: shortfalls(numbers, [SEEN]),
     "robustness-fresh": lambda numbers: shortfalls(numbers, FRESH),
     "robustness-failures": failed_worlds,
+    "edge-cases": edges,
     "catalogue": lambda numbers: by_track(numbers, "comparison", SHOWN_ON_SCENARIOS),
     "catalogue-all": lambda numbers: all_policies(numbers, "comparison"),
 }
