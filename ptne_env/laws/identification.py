@@ -74,8 +74,8 @@ def identify(
     So P never grows without a displacement, data in other directions are kept, and on a game that is not affine the
     update tends to Broyden's.
 
-    The radius of the trust region is twice the largest own displacement so far, until a prediction fails by more than
-    half of the gradient before; then it is half of the last displacement.
+    The radius of the trust region is twice the largest own displacement since a prediction failed by more than half of
+    the gradient before it; then it is half of the last displacement, and never below 1e-3 of the largest estimate.
 
     Args:
         was: the model of the step before.

@@ -23,24 +23,25 @@ from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_count, require_positive, row_maxima
 
 _SMALLEST = 1e-3
-"""Least scale of a problem, in units of what the input limit allows in a step: a start at 0 is no small problem."""
-
-_FIRST = 1 / 9
-"""Length of the first own displacement, in units of the scale."""
+"""The scale of a problem is the largest own estimate, and at least this share of what the input limit allows in a step:
+a start at 0 is no small problem."""
 
 _SPREAD = 3.0
 """Standard deviation of the entries of dF before anything is identified, in units of the first gradient per scale."""
 
+_FIRST = 1 / (3 * _SPREAD)
+"""Longest first own displacement, in units of the scale: the response to three standard deviations of curvature."""
+
 _DAMPING = 1.0
-"""How much a step is shortened per unit by which Σ_j |G_ij| exceeds the curvature, beside the delay of news. Linear
-analysis of games that rotate ten times as fast as they contract, with delays of up to two steps, has its optimum
-between 2.5 and 3.5 in all."""
+"""How much a step is shortened per unit by which Σ_j |G_ij| exceeds the curvature, beside the delay of news. The
+eigenvalues of linear games that rotate ten times as fast as they contract, with delays of up to two steps, have their
+optimum between 2.5 and 3.5 in all; with longer delays, random worlds that rotate say the same."""
 
 _LEAD = 0.5
 """Most steps beside the delay for which a damped response expects the copies to go on, by the same analysis."""
 
 _SHORTEST = 2.0
-"""The shortest delay in steps, of an answer to an answer."""
+"""The shortest delay in steps: that of an answer over one link."""
 
 _SIGNAL = 3.0
 """A difference to the sources above this many σ is no noise."""
@@ -69,7 +70,7 @@ class Noise(NamedTuple):
     age: FloatArray  # steps for which links have been live without a break, shape (R, D)
     total: FloatArray  # of the changes of messages in this window, shape (R, 1)
     number: FloatArray  # of these changes, shape (R, 1)
-    level: FloatArray  # σ, their mean in the last window, shape (R, 1)
+    level: FloatArray  # σ, their mean in the last full window, shape (R, 1)
     first: FloatArray  # the change of messages in the second step, shape (R, 1)
     since: FloatArray  # k, the steps in which messages have not come to rest, shape (R, 1)
 
@@ -82,7 +83,7 @@ class RelayMemory(NamedTuple):
     noise: Noise  # of their messages
     model: Model  # of the own gradient
     asked: FloatArray  # the displacement that was asked for, shape (R, n)
-    delay: FloatArray  # the step of the last first news of a component, shape (R, 1)
+    delay: FloatArray  # T, the step in which the last component had its first source, shape (R, 1)
 
 
 class Relay(RecordLaw):
@@ -90,34 +91,37 @@ class Relay(RecordLaw):
 
     In every step a player does the following.
 
-    1. *Sources.* :func:`~ptne_env.laws.sources.find_sources` says which neighbours have fresher copies of each
-       component, from own links alone. The owner of a component is its only source as soon as the player has met it.
-    2. *Noise.* σ is the mean change of messages over the last ``patience`` steps, where a change is |y_k − y_{k−1}| or
-       |y_k − 2 y_{k−1} + y_{k−2}|/√3, whichever is smaller, and the largest over links and components counts: noise has
-       both of this size, while smooth moves have small second differences. Where σ does not halve, copies average over
-       the k steps since it last did, with the weight w = p/(p + k), p being ``forgetting``. A difference to the sources
-       above 3 σ is no noise, and starts the count again.
-    3. *Copies.* Δx^i_c = w × mean of (x^j_c − x^i_c) over the live sources j of component c of another player. Where
-       there has been no news of c for ``patience`` and N steps, as where rounding hides all, all neighbours count as
+    1. *Noise.* A message changes by |y_k − y_{k−1}| or |y_k − 2 y_{k−1} + y_{k−2}|/√3, whichever is smaller, and the
+       largest over components and over links that have been live for three steps counts: noise has both of this size,
+       while smooth moves have small second differences. σ is the mean of that over the last full window of
+       ``patience`` steps, and before the first window ends the change in the second step.
+    2. *Sources.* :func:`~ptne_env.laws.sources.find_sources` says, from own links, messages and moves, which
+       neighbours have fresher copies of each component. As soon as the player has met the owner of a component, the
+       owner is its only source, and there is none while that link is down.
+    3. *Copies.* Δx^i_c = w × mean of (x^j_c − x^i_c) over the live sources j of each component c of another player.
+       Let k count the steps since σ last halved from window to window, or since a difference to the sources was above
+       3 σ, which is no noise. Up to ``patience`` such steps w = 1, and then w = p/(p + k), p being ``forgetting``.
+       Where c never had a source in max(``patience``, N) steps, as where rounding hides all, all neighbours count as
        sources, and estimates go half of the way.
     4. *Identification.* :func:`~ptne_env.laws.identification.identify` updates the rows G of dF from the changes of own
        estimates and own gradient.
-    5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l G_{i,−i} Δx_{−i}), the best response to the copies. D has the
-       eigenvectors of the own block G_ii, and the eigenvalues d (1 + (1 + T) max(0, ρ − 1)), where d is the curvature,
-       plus three standard deviations where it is not certainly positive, ρ = Σ_j |G_ij|/d is the contraction of best
-       responses in the maximum norm, the largest row counting, and T is the *delay*, the step in which the last
-       component had its first news, from 2 to N: on a fixed graph the distance of the farthest player. Where ρ ≤ 1 best
-       responses contract whatever the delays, D = G_ii and l = 1; in games that rotate they would not, and are damped,
-       and l = min(T + ½, D/Σ_j |G_ij|) expects the copies to go on. Components at a bound, which did not move when they
-       were asked to, count as fixed. No step is longer than the trust region of the model.
+    5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l Σ_{j≠i} G_ij Δx_j), the best response to the copies. D has the
+       eigenvectors of the symmetric part of the own block G_ii, and the eigenvalues d + (1 + T) max(0, S − d), where d
+       is the curvature (|d| plus three standard deviations where it is not certainly positive), S the largest row sum
+       of Σ_{j≠i} |G_ij|, and T the *delay*: the step in which the last component had its first source, at least 2. On a
+       fixed graph that is the distance of the farthest player, and m − 1 steps. Where S ≤ d best responses contract in
+       the maximum norm whatever the delays, D is G_ii, and l = 1. In games that rotate they would not; D damps them,
+       and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go on. A component at a bound,
+       which did not move when it was asked to, counts as fixed for the others. No component of the response is larger
+       than the trust region of the model.
 
-    In the first m steps the estimates of others rest, and one own component after the other moves, so that the first
-    changes of messages are noise alone, and the own block of dF is known at once.
+    In the first m steps, m being the largest n_i, the copies rest, and one own component after the other moves, so that
+    the first changes of messages are noise alone, and the own block of dF is known at once.
 
     Args:
         layout: the layout of the environment, with the interface ``physical``.
-        patience: the number of steps, ≥ 1, after which σ counts as noise if it has not halved.
-        forgetting: p > 0: larger numbers forget the first messages faster. 1 is the mean of all.
+        patience: the number of steps of a window, ≥ 1, after which σ counts as noise if it has not halved.
+        forgetting: p > 0: larger numbers forget earlier messages faster.
 
     Raises:
         ValueError: for a patience below 1, a forgetting that is not positive, or another interface.
@@ -158,7 +162,7 @@ class Relay(RecordLaw):
         asked, moved = own_entries(was.asked, blocks), own_entries(estimate - was.model.estimate, blocks)
         held = (np.abs(moved) < _HELD * np.abs(asked)) & (np.abs(asked) > _RESOLVED * scale)
         is_new = ((contacts.news > was.contacts.news) & ~is_own).any(axis=1, keepdims=True)
-        delay = np.where(is_new, np.clip(was.steps, _SHORTEST, layout.num_players), was.delay)
+        delay = np.where(is_new, np.maximum(was.steps, _SHORTEST), was.delay)
         response = _respond(model, drift, blocks, is_own, held, delay)
         response = np.where(is_probe & (np.arange(blocks.shape[1]) != was.steps), 0.0, response)
         displacement = with_own(drift, response, blocks)

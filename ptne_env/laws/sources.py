@@ -45,9 +45,10 @@ def find_sources(
     of component c and the neighbour's copy have moved since the last contact, at the end of which they knew each other.
     If only one copy has moved, it is the fresher copy, and the neighbour gets a vote for it or against it. If both have
     moved, the votes decide; with equal votes, the copy that has moved further is the fresher copy. In the first contact
-    the player takes the neighbour's copy if it has no news of c. During a contact, the neighbour becomes the source
-    when its copy moves by more than noise while the own copy rests, unless there is a live source and the neighbour's
-    copy moves towards the own copy. An owner is the only source as soon as the player has met it.
+    a player that has no news of c takes the neighbour's copy. During a contact, the neighbour takes the
+    place of all sources when its copy moves by more than noise while the own copy rests, unless there is a live source
+    and the neighbour's copy moves towards the own copy. As soon as the player has met the owner of a component, the
+    owner is its only source.
 
     On a fixed graph with perfect messages the sources are the neighbours that are nearer to the owner.
 
