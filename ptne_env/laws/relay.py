@@ -40,8 +40,9 @@ optimum between 2.5 and 3.5 in all; with longer delays, random worlds that rotat
 _LEAD = 0.5
 """Most steps beside the delay for which a damped response expects the copies to go on, by the same analysis."""
 
-_SHORTEST = 2.0
-"""The shortest delay in steps: that of an answer over one link."""
+_SHORTEST, _LONGEST = 2.0, 4
+"""The shortest delay in steps: that of an answer over one link; and the longest one, in numbers of players: on graphs
+that switch, the first news of a player may take much longer than the later ones."""
 
 _SIGNAL = 3.0
 """A difference to the sources above this many σ is no noise."""
@@ -108,7 +109,7 @@ class Relay(RecordLaw):
     5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l Σ_{j≠i} G_ij Δx_j), the best response to the copies. D has the
        eigenvectors of the symmetric part of the own block G_ii, and the eigenvalues d + (1 + T) max(0, S − d), where d
        is the curvature (|d| plus three standard deviations where it is not certainly positive), S the largest row sum
-       of Σ_{j≠i} |G_ij|, and T the *delay*: the step in which the last component had its first source, at least 2. On a
+       of Σ_{j≠i} |G_ij|, and T the *delay*: the step in which the last component had its first source, from 2 to 4 N. On a
        fixed graph that is the distance of the farthest player, and m − 1 steps. Where S ≤ d best responses contract in
        the maximum norm whatever the delays, D is G_ii, and l = 1. In games that rotate they would not; D damps them,
        and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go on. A component at a bound,
@@ -162,7 +163,7 @@ class Relay(RecordLaw):
         asked, moved = own_entries(was.asked, blocks), own_entries(estimate - was.model.estimate, blocks)
         held = (np.abs(moved) < _HELD * np.abs(asked)) & (np.abs(asked) > _RESOLVED * scale)
         is_new = ((contacts.news > was.contacts.news) & ~is_own).any(axis=1, keepdims=True)
-        delay = np.where(is_new, np.maximum(was.steps, _SHORTEST), was.delay)
+        delay = np.where(is_new, np.clip(was.steps, _SHORTEST, _LONGEST * layout.num_players), was.delay)
         response = _respond(model, drift, blocks, is_own, held, delay)
         response = np.where(is_probe & (np.arange(blocks.shape[1]) != was.steps), 0.0, response)
         displacement = with_own(drift, response, blocks)
