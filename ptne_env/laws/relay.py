@@ -109,12 +109,12 @@ class Relay(RecordLaw):
     5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l Σ_{j≠i} G_ij Δx_j), the best response to the copies. D has the
        eigenvectors of the symmetric part of the own block G_ii, and the eigenvalues d + (1 + T) max(0, S − d), where d
        is the curvature (|d| plus three standard deviations where it is not certainly positive), S the largest row sum
-       of Σ_{j≠i} |G_ij|, and T the *delay*: the step in which the last component had its first source, from 2 to 4 N. On a
-       fixed graph that is the distance of the farthest player, and m − 1 steps. Where S ≤ d best responses contract in
-       the maximum norm whatever the delays, D is G_ii, and l = 1. In games that rotate they would not; D damps them,
-       and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go on. A component at a bound,
-       which did not move when it was asked to, counts as fixed for the others. No component of the response is larger
-       than the trust region of the model.
+       of Σ_{j≠i} |G_ij|, and T the *delay*: the step in which the last component had its first source, from 2 to 4 N.
+       On a fixed graph that is the distance of the farthest player, and m − 1 steps. Where S ≤ d best responses
+       contract in the maximum norm whatever the delays, D is G_ii, and l = 1. In games that rotate they would not; D
+       damps them, and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go on. A component
+       at a bound, which did not move when it was asked to, counts as fixed for the others. No component of the response
+       is larger than the trust region of the model.
 
     In the first m steps, m being the largest n_i, the copies rest, and one own component after the other moves, so that
     the first changes of messages are noise alone, and the own block of dF is known at once.

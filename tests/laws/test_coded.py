@@ -37,10 +37,9 @@ def gain(world):
     return coded - plain
 
 
-@pytest.mark.parametrize(("name", "least"), [("rounding", 0.5), ("curved", 0.5)])
-def test_code_gains_digits(name, least):
+def test_code_gains_digits():
     """So no document may say that code is useless."""
-    assert gain(get_suite("ptne-v1").track(name)) > least
+    assert gain(get_suite("ptne-v1").track("rounding")) > 2
 
 
 @pytest.mark.parametrize("world", [DELAYED, get_suite("ptne-v1").track("short-deadline"), STRANGERS])
