@@ -35,18 +35,22 @@ def principal_share(digits: npt.ArrayLike) -> float:
     return float(variances[0] / variances.sum())
 
 
+def entries(results: Results) -> list[str]:
+    """The entries that have a rank, the best score first."""
+    return [row.policy for row in leaderboard(results) or () if row.mean_rank is not None]
+
+
 def best_entries(results: Results) -> list[str]:
     """The best entries by score that play every scored track."""
     tracks = results.counted_tracks
-    entries = [row.policy for row in leaderboard(results) or () if row.mean_rank is not None]
-    return [name for name in entries if all((track, name) in results.samples for track in tracks)][:BEST]
+    return [name for name in entries(results) if all((track, name) in results.samples for track in tracks)][:BEST]
 
 
-def leads(results: Results, names: list[str]) -> list[str]:
-    """A line for each scored track: the best of these entries, and its lead over the second in the same episodes."""
+def leads(results: Results) -> list[str]:
+    """A line for each scored track: the best entry, and its lead over the second in the same episodes."""
     lines = []
     for track in results.counted_tracks:
-        first, second, *_ = sorted(names, key=lambda name: -results.samples[track, name]["digits"].mean())
+        first, second, *_ = [name for name in results.ranked(track) if results.policies[name].is_ranked]
         lead = results.difference(first, second, track)
         lines.append(f"{track}: {first} leads {second} by {lead.mean:.2f} [{lead.low:.2f}, {lead.high:.2f}]")
     return lines
@@ -54,10 +58,8 @@ def leads(results: Results, names: list[str]) -> list[str]:
 
 def agreement(first: Results, second: Results) -> float:
     """Kendall's τ between the rankings by score of two runs."""
-    orders = [
-        [row.policy for row in leaderboard(results) or () if row.mean_rank is not None] for results in (first, second)
-    ]
-    return float(stats.kendalltau(range(len(orders[0])), [orders[1].index(name) for name in orders[0]]).statistic)
+    order, other = entries(first), entries(second)
+    return float(stats.kendalltau(range(len(order)), [other.index(name) for name in order]).statistic)
 
 
 def main() -> None:
@@ -75,7 +77,7 @@ def main() -> None:
     names = best_entries(first)
     digits = [[first.samples[track, name]["digits"].mean() for track in first.counted_tracks] for name in names]
     print(f"First principal component: {principal_share(digits):.2f} of the variance between {', '.join(names)}")
-    print(*leads(first, names), sep="\n")
+    print(*leads(first), sep="\n")
     print(f"Kendall's tau between seeds {SEEDS[0]} and {SEEDS[1]}: {agreement(first, second):.3f}")
 
 

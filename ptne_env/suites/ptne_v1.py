@@ -103,7 +103,7 @@ TRACKS = (
         "Five users choose their data rates; prices of links rise faster than loads, and rates are pushed about.",
         game="rate-control",
         start=part("start:uniform", low=0.0, high=4.0),
-        disturbance=part("disturbance:uniform", bound=2.0),
+        disturbance=part("disturbance:uniform", bound=5.0),
         message_range=0.2 * RANGE,  # rates are up to 5
     ),
     _track(
