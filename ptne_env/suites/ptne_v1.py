@@ -103,14 +103,14 @@ TRACKS = (
         "Five users choose their data rates; prices of links rise faster than loads, and rates are pushed about.",
         game="rate-control",
         start=part("start:uniform", low=0.0, high=4.0),
-        disturbance=part("disturbance:uniform", bound=5.0),
+        disturbance=part("disturbance:uniform", bound=2.0, dwell=40),
         message_range=0.2 * RANGE,  # rates are up to 5
     ),
     _track(
         "uneven-box",
         "Affine games of players with 1, 2, 3, 1 and 2 components in a box, who are pushed about; noise is 0.03.",
         game=part("game:random-affine", action_dim=(1, 2, 3, 1, 2), low=-5.0, high=5.0, asymmetry=8.0),
-        disturbance=part("disturbance:uniform", bound=50.0),
+        disturbance=part("disturbance:uniform", bound=75.0),
         channel=_noisy(0.03),
     ),
     _track(
