@@ -85,7 +85,7 @@ TRACKS = (
         deadline=0.12,
         steps=30,
         input_limit=5.0,
-        channel=_noisy(0.001, part("channel:heavy-tails", scale=0.3)),
+        channel=_noisy(0.001, part("channel:heavy-tails", scale=0.6)),
     ),
     _track(
         "curved",
@@ -94,23 +94,23 @@ TRACKS = (
     ),
     _track(
         "rotation",
-        "Random affine games that rotate faster than they contract: best responses drift apart.",
-        game=part("game:random-affine", epsilon=0.3, asymmetry=5.0),
-        channel=_noisy(0.1),
+        "Random affine games that rotate faster than they contract: best responses drift apart; noise is 0.2.",
+        game=part("game:random-affine", epsilon=0.3, asymmetry=4.0),
+        channel=_noisy(0.2),
     ),
     _track(
         "rates",
-        "Five users choose their data rates; prices of links rise faster than loads, and rates are pushed about.",
+        "Five users choose their data rates; prices of links rise faster than loads, and some messages are far off.",
         game="rate-control",
         start=part("start:uniform", low=0.0, high=4.0),
-        disturbance=part("disturbance:uniform", bound=2.0, dwell=40),
+        channel=_noisy(0.001, part("channel:heavy-tails", scale=0.3)),
         message_range=0.2 * RANGE,  # rates are up to 5
     ),
     _track(
         "uneven-box",
         "Affine games of players with 1, 2, 3, 1 and 2 components in a box, who are pushed about; noise is 0.03.",
         game=part("game:random-affine", action_dim=(1, 2, 3, 1, 2), low=-5.0, high=5.0, asymmetry=8.0),
-        disturbance=part("disturbance:uniform", bound=75.0),
+        disturbance=part("disturbance:uniform", bound=50.0),
         channel=_noisy(0.03),
     ),
     _track(
