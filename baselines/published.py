@@ -143,7 +143,7 @@ def headline(numbers: Published) -> str:
             trained, law = f"**{trained}**" if lead.low > 0 else trained, f"**{law}**" if lead.high < 0 else law
         cells = [paper, law, ppo, trained]
         rows.append(["**score**" if track == ALL else track, *cells])
-    return markdown(["track", "the paper's law", "best law", "PPO", "trained through the world"], rows)
+    return markdown(["track", "the paper's law", "best law", "PPO on nominal", "trained through the world"], rows)
 
 
 def overall(numbers: Published) -> str:
