@@ -375,11 +375,11 @@ seed 20, and without the world `wide`. PPO is `ppo-ptne-v1`, trained on `nominal
 
 {3}
 
-On `liar` the network had 2.1 digits while the largest difference
-was its only unit, because a liar is always far: half of a digit came from the unit of the nearest neighbour's
-difference alone, and the rest from training.
+On `liar` the network had 2.1 digits while the largest difference was its only unit, because a liar is always far: half
+of a digit came from the unit of the nearest neighbour's difference alone, and the rest from training.
 
-Worlds were missing, not updates. In shares of the best law's digits on 30 validation episodes per track, the first
+Worlds were missing, not updates. In shares of the best law's digits on 30 validation episodes per track of the suite as
+it was then (with a track `strangers`, on which one player follows the paper's law, and without rotation), the first
 stage has 0.94, and 0.84 among 50 players, and a fifth of its episodes on `strangers` end below one digit; the second
 0.96, and 0.89 among 50; the third, with a world of 12 players with three components each, 0.94 to 0.96, and 0.90 to
 0.95. A second stage in the worlds of the first, with twice the episodes, had 0.93.
