@@ -111,7 +111,7 @@ def test_a_layered_file_with_weights_of_another_network_is_refused(tmp_path):
 
 
 def test_teammates_follow_their_law_in_training_and_do_not_learn():
-    it = learner("mappo-rnn", scenario="ptne-v1/strangers", envs=2)
+    it = learner("mappo-rnn", scenario="small_suite:TEAMS/strangers", envs=2)
     runner, expected = it.start(), ptne_env.jax.JaxWorld(it.track.scenario, interface="physical")
     _, steps = jax.lax.scan(it._step, runner, jax.random.split(jax.random.key(1), 3))
     assert steps.observations.shape == (3, it.layout.size, 8)

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from small_suite import STRANGERS
 from worlds import begin, world_and_encoder
 
 from ptne_env import FactorySpec, evaluate, get_scenario
-from ptne_env.evaluation import Teammates, Track, get_policy_spec
+from ptne_env.evaluation import get_policy_spec
 from ptne_env.laws import Coded, Static
 from ptne_env.perception.observation import LayoutError
 from ptne_env.suites import get_suite, leaderboard, run_suite
-from ptne_env.suites.ptne_v1 import BASE
 from ptne_env.world import dynamics
 
 PAIR = ["relay", "coded-relay"]
@@ -20,13 +20,6 @@ DELAYED = get_scenario("random-energy").replace(
         "channel:chain",
         stages=[FactorySpec.of("channel:delay", steps=3), FactorySpec.of("channel:noise", std=0.001)],
     ),
-)
-
-STRANGERS = Track(
-    "strangers",
-    BASE.replace(channel=FactorySpec.of("channel:noise", std=0.01)),
-    "One follows another law.",
-    Teammates(FactorySpec.of("law:static", kappa=0.4), (3,)),
 )
 
 

@@ -9,8 +9,8 @@ import pytest
 from small_suite import BASE, SMALL
 
 import ptne_env
-from ptne_env import FactorySpec, laws
-from ptne_env.evaluation import POLICIES, PolicySpec, Teammates, Track
+from ptne_env import laws
+from ptne_env.evaluation import POLICIES, PolicySpec, Track
 from ptne_env.evaluation.episodes import track_seed
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.parts import foreign_targets
@@ -66,8 +66,6 @@ def test_wrong_suites_are_refused():
 def test_scenarios_and_suites_are_found_by_name_and_address(monkeypatch):
     monkeypatch.setitem(sys.modules, "mine", mine := ModuleType("mine"))
     mine.suite, mine.make, mine.scenario = SMALL, lambda: SMALL, BASE
-    others = Teammates(FactorySpec.of("law:static"), (3, 4))
-    mine.teams = Suite("teams", (Track("duo", BASE, "Two follow a law.", others),))
     assert get_suite("mine:suite") is get_suite("mine:make") is SMALL
     assert find_scenario("mine:suite/ring") == find_scenario("mine:scenario") == BASE
     assert find_scenario("energy") == ptne_env.get_scenario("energy")
@@ -76,7 +74,7 @@ def test_scenarios_and_suites_are_found_by_name_and_address(monkeypatch):
     with pytest.raises(ValueError, match="unknown scenario 'delay'"):
         find_scenario("delay")
     with pytest.raises(ValueError, match="some of its players follow a fixed policy"):
-        find_scenario("mine:teams/duo")
+        find_scenario("small_suite:TEAMS/strangers")
 
 
 def test_a_run_includes_the_reference_policies_and_refuses_their_names():
