@@ -103,7 +103,8 @@ class Relay(RecordLaw):
        Let k count the steps since σ last halved from window to window, or since a difference to the sources was above
        3 σ, which is no noise. Up to ``patience`` such steps w = 1, and then w = p/(p + k), p being ``forgetting``.
        Where c never had a source in max(``patience``, N) steps, as where rounding hides all, all neighbours count as
-       sources, and estimates go half of the way.
+       sources. A source that says what the player's copy was before its last move copies the player in turn; then
+       Δx^i_c is half of that, and the two meet, instead of exchanging their copies for ever.
     4. *Identification.* :func:`~ptne_env.laws.identification.identify` updates the rows G of dF from the changes of own
        estimates and own gradient.
     5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l Σ_{j≠i} G_ij Δx_j), the best response to the copies. D has the
@@ -151,11 +152,15 @@ class Relay(RecordLaw):
         drifted = np.where(is_own, 0.0, was.asked)
         sources, contacts = find_sources(observation, was.contacts, was.steps > 0, drifted, owners, loudest[:, :, None])
         is_silent = (contacts.news == 0) & (was.steps >= max(self.patience, layout.num_players))
-        sources |= is_silent[:, None] & (observation.weights > 0)[:, :, None]
+        live = (observation.weights > 0)[:, :, None]
+        sources |= is_silent[:, None] & live
         is_probe = was.steps < blocks.shape[1]
         mean = np.where(is_own | is_probe, 0.0, mean_difference(observation, sources))
         noise, weight = self._weigh(noise, mean, was.steps)
-        drift = np.where(is_silent, 0.5, 1.0) * weight * mean  # two players who copy each other would exchange copies
+        before, smallest = was.model.estimate, np.maximum(_RESOLVED * scale, loudest)
+        repeats = live & sources & (np.abs(noise.last - before[:, None]) <= smallest[:, :, None])
+        exchanges = repeats.any(axis=1) & (np.abs(estimate - before) > smallest)
+        drift = np.where(exchanges, 0.5, 1.0) * weight * mean
 
         gradient = own_entries(observation.gradient, blocks)
         widest = _SPREAD * largest(gradient) / np.where(scale > 0, scale, 1.0)

@@ -8,6 +8,7 @@ from worlds import BLOCKS, BLOCKS_SWITCHING, begin, channel_part, fixed_part, wo
 from ptne_env import FactorySpec, evaluate, get_scenario, laws
 from ptne_env.laws import relay
 from ptne_env.laws.identification import initial_model
+from ptne_env.suites import get_suite
 from ptne_env.world import dynamics
 
 RANDOM = get_scenario("random-energy")
@@ -195,6 +196,18 @@ def test_players_without_news_meet_in_the_middle():
     copies = states[-2, 2, :2]
     assert copies[0] == pytest.approx(copies[1], abs=1e-6 * np.abs(copies).max())
     assert np.abs(states[30, 2, 0] - states[30, 2, 1]) < np.abs(states[0, 2, 0] - states[0, 2, 1])
+
+
+def test_players_who_copy_each_other_do_not_exchange_their_copies_for_ever():
+    """As two newcomers would, each of whom takes the other's copy at their first contact."""
+    world, encoder = world_and_encoder(get_suite("ptne-v1").track("switching-physical").scenario)
+    for seed in range(4):
+        states = run(world, encoder, laws.Relay(encoder.layout), begin(world, [seed]))[..., 0]
+        before, after = states[:-1, :, :, None], states[1:, :, :, None]
+        apart = np.abs(before - np.moveaxis(before, 3, 2)) > 0.1
+        takes = np.abs(after - np.moveaxis(before, 3, 2)) < 0.01
+        swaps = apart & takes & np.moveaxis(takes, 3, 2)  # of component c by players i and j in step k: (K, n, N, N)
+        assert not (swaps[:-1] & swaps[1:]).any()
 
 
 def test_slow_moves_add_up_to_news():
