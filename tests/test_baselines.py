@@ -66,7 +66,7 @@ def test_the_published_numbers_are_of_policies_scenarios_and_tracks_that_exist()
 
 def test_a_small_run_gives_rows_from_which_every_table_of_the_suite_is_written(tmp_path):
     policies = ["static", "relay", "coded-relay", published.TRAINED, "oracle"]
-    results = run_suite("ptne-v1", policies, tracks=["rates", "switching-physical"], episodes=8)
+    results = run_suite("ptne-v1", policies, tracks=["uneven-box", "switching-physical"], episodes=8)
     rows = list(publish.rows_of(results))
     with (tmp_path / "results.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, publish.COLUMNS)
@@ -77,17 +77,17 @@ def test_a_small_run_gives_rows_from_which_every_table_of_the_suite_is_written(t
     cell = numbers.cell("ptne-v1", "switching-physical", published.TRAINED, published.MINUS_BEST_LAW)
     assert float(cell["low"]) == pytest.approx(lead.low, rel=1e-6)
     assert lead.low > 0
-    law = results.record("rates", "relay", "digits")["mean"]
+    law = results.record("uneven-box", "static", "digits")["mean"]
     network = results.record("switching-physical", published.TRAINED, "digits")["mean"]
     table = published.headline(numbers)
-    assert re.search(rf"\| rates .*\| \*\*{law:.2f} relay\*\* \|", table)  # each where it leads
+    assert re.search(rf"\| uneven-box .*\| \*\*{law:.2f} static\*\* \|", table)  # each where it leads
     assert re.search(rf"\| switching-physical .*\| \*\*{network:.2f}\*\* \|", table)
     score = next(row for row in leaderboard(results) if row.policy == "static")
     digits, on_the_way, worst = (
         f"{summary.mean:.2f}" for summary in (score.score, score.on_the_way, score.worst_tenth)
     )
     assert re.search(rf"\| static \| {digits} \[.*\] \| {on_the_way} \[.*\] \| {worst} ", published.overall(numbers))
-    assert numbers.ranked("ptne-v1", "rates") == [*results.ranked("rates")]
+    assert numbers.ranked("ptne-v1", "uneven-box") == [*results.ranked("uneven-box")]
     assert "zero-input" in published.all_policies(numbers, "ptne-v1")
 
 
