@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from ptne_env.laws.base import RecordLaw, consensus, per_step
@@ -32,7 +34,7 @@ class FixedTime(RecordLaw):
     the law is this linear iteration. The input limit may slow it, and then the bounds are void. The memory is L.
 
     Args:
-        layout: the layout of the environment.
+        layout: the layout of the environment, with the interface ``physical``.
         kappa: κ > 0.
         power: α, in (0, 1].
         step: η > 0, the largest gradient step.
@@ -40,6 +42,8 @@ class FixedTime(RecordLaw):
     Raises:
         ValueError: for a number out of range.
     """
+
+    needs: ClassVar[tuple[str, ...]] = ("own_estimate",)  # natural units, in which the input limit is known
 
     def __init__(self, layout: ObservationLayout, kappa: float = 2.0, power: float = 0.5, step: float = 1.0) -> None:
         super().__init__(layout)
