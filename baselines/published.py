@@ -118,7 +118,7 @@ def by_track(numbers: Published, suite: str, policies: Sequence[str]) -> str:
             [label, *(plain(numbers.cell(suite, ALL, policy, metric)) for policy in policies)]
             for label, metric in zip(("**score**", *HEADINGS[1:]), SHOWN_METRICS, strict=True)
         ]
-    return markdown([suite.replace("comparison", "scenario"), *policies], rows)
+    return markdown([suite.replace("comparison", "scenario"), *(POLICIES[name].label for name in policies)], rows)
 
 
 def best_law(numbers: Published, suite: str, track: str) -> tuple[str, Row]:
@@ -238,7 +238,11 @@ def edges(numbers: Published) -> str:
 def all_policies(numbers: Published, suite: str) -> str:
     """All policies on every track, the best first, with intervals."""
     rows = [
-        [track, policy, *(with_interval(numbers.cell(suite, track, policy, metric)) for metric in SHOWN_METRICS)]
+        [
+            track,
+            POLICIES[policy].label,
+            *(with_interval(numbers.cell(suite, track, policy, metric)) for metric in SHOWN_METRICS),
+        ]
         for track in numbers.names("track", suite)
         for policy in numbers.ranked(suite, track)
     ]
