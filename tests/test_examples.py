@@ -28,7 +28,7 @@ def quick_copy(example, folder):
         if library in source:
             pytest.importorskip(library, reason=f"needs {library}")
     source = re.sub(r"(?i)\b(episodes ?= ?)\d+", r"\g<1>2", source).replace("learn(150_000", "learn(2_000")
-    source = source.replace("num_envs=32", "num_envs=4")
+    source = re.sub(r"num_envs=(32|20)\b", "num_envs=4", source)
     copy = folder / example.name
     copy.write_text(source, encoding="utf-8")
     return copy
