@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from dataclasses import asdict, replace
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
@@ -29,14 +28,6 @@ if TYPE_CHECKING:
     Run: TypeAlias = Configuration | Settings
 
 
-_TRAINERS = {
-    **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), ("jax_ppo", "jax")),
-    "sb3-ppo": ("ppo", "sb3"),
-    "through-world": ("through_world", "jax"),
-}
-"""The module of each algorithm, and the extra that it needs."""
-
-
 @app.command(cls=Command)
 def train(
     configuration: Annotated[
@@ -53,7 +44,7 @@ def train(
             help="ippo (independent PPO), ippo-rnn (with a recurrent unit), mappo-rnn (its critic sees the state), "
             "sb3-ppo (that of Stable-Baselines3), or through-world (a recurrent policy by gradients through the world; "
             "CONFIGURATION is a scenario or track). That of the configuration, or ippo, if left out.",
-            autocompletion=lambda: list(_TRAINERS),
+            autocompletion=lambda: list(training.TRAINERS),
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the policy, the learning curve and checkpoints.")] = Path(
@@ -96,16 +87,18 @@ def train(
     from ptne_env.training.configuration import Configuration, read_finished_run
     from ptne_env.training.curve import draw, evaluate_laws
 
-    if algorithm is not None and algorithm not in _TRAINERS:
-        raise ValueError(unknown_name("algorithm", algorithm, _TRAINERS))
+    if algorithm is not None and algorithm not in training.TRAINERS:
+        raise ValueError(unknown_name("algorithm", algorithm, training.TRAINERS))
     values = {"seed": seed, "updates" if algorithm == "through-world" else "steps": steps}
     changes: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
     if algorithm == "through-world":
-        trainer = _import_trainer(algorithm)
+        trainer = training.TRAINERS[algorithm].load()
         first: Run = trainer.Settings(configuration, **changes)
     else:
-        first = Configuration.from_toml(configuration, **changes, **({"algorithm": algorithm} if algorithm else {}))
-        trainer = _import_trainer(first.algorithm)
+        changes |= {"algorithm": algorithm} if algorithm else {}
+        first = Configuration.from_toml(configuration, **changes)
+        algorithm = first.algorithm
+        trainer = training.TRAINERS[algorithm].load()
     options.require_trust(options.foreign_names(first.scenario), trust=trust)
     runs = {out: first}
     if seeds is not None:
@@ -118,7 +111,7 @@ def train(
     objects = [asdict(summary) for summary in summaries.values()]
     write_json(json, objects[0] if seeds is None else objects)
     for folder, summary in summaries.items():
-        _say_result(folder / trainer.POLICY, summary, trainer, was_finished=folder in ended)
+        _say_result(folder / trainer.POLICY, summary, training.TRAINERS[algorithm], was_finished=folder in ended)
     digits = [summary.digits for summary in summaries.values()]
     if seeds is not None:
         say(f"Mean of {seeds} seeds: {sum(digits) / seeds:.2f} digits, from {min(digits):.2f} to {max(digits):.2f}")
@@ -139,14 +132,6 @@ def train(
     say(f"To compare:  ptne compare {first.scenario} --policy {shlex.quote(f'static,{trained}')}")
 
 
-def _import_trainer(algorithm: str) -> ModuleType:
-    module, extra = _TRAINERS[algorithm]
-    try:
-        return import_module(f"ptne_env.training.{module}")
-    except ImportError as error:
-        raise ImportError(f'training needs an extra: pip install "ptne-env[{extra}]"') from error
-
-
 def _train(runs: Mapping[Path, Run], trainer: ModuleType) -> dict[Path, RunSummary]:
     """Train one run after the other, with a progress bar for all of them, and return their summaries."""
     summaries: dict[Path, RunSummary] = {}
@@ -162,9 +147,8 @@ def _train(runs: Mapping[Path, Run], trainer: ModuleType) -> dict[Path, RunSumma
     return summaries
 
 
-def _say_result(policy: Path, summary: RunSummary, trainer: ModuleType, *, was_finished: bool) -> None:
-    through_world = trainer.__name__.endswith("through_world")
-    digits = f"{summary.digits:.2f} digits on the {'last' if through_world else 'validation'} episodes"
+def _say_result(policy: Path, summary: RunSummary, trainer: training.Trainer, *, was_finished: bool) -> None:
+    digits = f"{summary.digits:.2f} digits on the {trainer.episodes} episodes"
     if was_finished:
         say(f"This run has ended before, with {digits}; {policy.name} is in {policy.parent}")
         return
@@ -175,9 +159,8 @@ def _say_result(policy: Path, summary: RunSummary, trainer: ModuleType, *, was_f
     flat = "" if gained < FLAT else ": more --steps gain more"
     say(f"{digits}, after {summary.seconds:.0f} s; {policy.name} written to {policy.parent}")
     say(f"The last fifth of the training gained {gained:.2f} digits{flat}")
-    if summary.resumed_at and trainer.__name__ != "ptne_env.training.jax_ppo":  # which resumes bit for bit
-        unit = "updates" if through_world else "agent-steps"
+    if summary.resumed_at and not trainer.resumes_exactly:
         say(
-            f"The run was resumed at {summary.resumed_at} {unit}: the policy is not that of an uninterrupted run, "
-            "which can be repeated"
+            f"The run was resumed at {summary.resumed_at} {trainer.unit}: the policy is not that of an uninterrupted "
+            "run, which can be repeated"
         )

@@ -4,9 +4,45 @@
 """
 
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
 
 from ptne_env.shared.files import shipped_files
+
+
+class Trainer(NamedTuple):
+    """What trains with an algorithm.
+
+    Attributes:
+        module: the module of this package that trains.
+        extra: the extra that it needs.
+        unit: what its runs are counted in.
+        episodes: those of which its summaries have the digits.
+        resumes_exactly: whether a resumed run ends as if it had not been interrupted.
+    """
+
+    module: str
+    extra: str
+    unit: str = "agent-steps"
+    episodes: str = "validation"
+    resumes_exactly: bool = False
+
+    def load(self) -> ModuleType:
+        """Import the module; ``ImportError`` that names the extra if it is missing."""
+        try:
+            return import_module(f"ptne_env.training.{self.module}")
+        except ImportError as error:
+            raise ImportError(f'training needs an extra: pip install "ptne-env[{self.extra}]"') from error
+
+
+TRAINERS = {
+    **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), Trainer("jax_ppo", "jax", resumes_exactly=True)),
+    "sb3-ppo": Trainer("ppo", "sb3"),
+    "through-world": Trainer("through_world", "jax", unit="updates", episodes="last"),
+}
+"""The algorithms, and what trains with each."""
 
 
 def configurations() -> Mapping[str, Path]:

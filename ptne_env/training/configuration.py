@@ -17,11 +17,10 @@ from ptne_env.shared.arrays import require_count, require_positive, require_prin
 from ptne_env.shared.files import DamagedFileError, read_file, read_json, write_atomically
 from ptne_env.shared.names import unknown_name
 from ptne_env.suites.suite import world_names
-from ptne_env.training import configurations
+from ptne_env.training import TRAINERS, configurations
 
-ALGORITHMS = ("ippo", "ippo-rnn", "mappo-rnn", "sb3-ppo")
-"""The algorithms of a configuration: those of :mod:`ptne_env.training.jax_ppo`, and PPO of Stable-Baselines3."""
-
+ALGORITHMS = tuple(name for name, trainer in TRAINERS.items() if trainer.unit == "agent-steps")
+"""The algorithms of a configuration, which counts agent-steps."""
 
 LARGEST_CHECKPOINT = 1 << 30
 """The largest number of bytes of a checkpoint that is read."""
