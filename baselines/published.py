@@ -37,9 +37,6 @@ SHOWN = (
 
 SHOWN_ON_WORLDS = ("static", "grounded", "routed-unknown", "relay", TRAINED)
 SHOWN_ON_SCENARIOS = ("static", "grounded", "routed-unknown", "relay", "ppo-random-energy", "oracle")
-RIVALS = [name for name in ENTERED if POLICIES[name].is_ranked and name != "zero-input"]
-"""The policies that may be the best of a random world."""
-
 NEAR = 0.5
 """Digits by which a policy may miss the best one and is near."""
 
@@ -170,7 +167,8 @@ def lies_in(row: Row, *place: str) -> bool:
 def best_on(numbers: Published, suite: str, world: str) -> tuple[str, float]:
     """The best ranked policy of a random world and its digits, but for standing still."""
     rows = numbers.by_policy(suite, world)
-    return max(((name, float(rows[name]["mean"])) for name in RIVALS if name in rows), key=lambda item: item[1])
+    rivals = [name for name in rows if POLICIES[name].is_ranked and name != "zero-input"]
+    return max(((name, float(rows[name]["mean"])) for name in rivals), key=lambda item: item[1])
 
 
 def fails(numbers: Published, suite: str, world: str, policy: str) -> bool:

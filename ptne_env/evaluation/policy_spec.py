@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -86,7 +86,7 @@ class PolicySpec:
         """Whether the policy uses information that players lack."""
         return self.interface.is_privileged
 
-    @property
+    @cached_property
     def mark(self) -> str:
         """The mark of :data:`MARKS` that the policy has in tables; empty for most."""
         coded = any(_declared(source, "sends_code") for source in self.training_seeds)
