@@ -97,9 +97,11 @@ class Coded(RowPolicy):
         return CoderMemory(none, alone, none - 1, estimates, estimates, gradient, slots, messages, messages, none)
 
     def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:
-        observation, start = self.layout.read(rows), self._start(len(rows))
-        was, inner = (start, None) if memory is None else memory
-        was = CoderMemory(*(self.select_rows(starts, *parts) for parts in zip(start, was, strict=True)))
+        observation = self.layout.read(rows)
+        was, inner = (self._start(len(rows)), None) if memory is None else memory
+        if starts.any():
+            fresh = self._start(len(rows))
+            was = CoderMemory(*(self.select_rows(starts, *parts) for parts in zip(fresh, was, strict=True)))
         estimate, gradient = observation.own_estimate, self.layout.select(rows, "own_gradient")
         talks, opens, rounds = np.isinf(was.alone), was.steps % 2 == 0, was.steps // 2
         content, arrives = estimate[:, None] + observation.relative_estimates, observation.weights > 0
