@@ -88,6 +88,7 @@ def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, metric
         axes.set(title=title, xlabel="agent-steps", ylabel=f"{METRICS[metric].label}, without exploration")
         axes.set_xlim(0, steps)
         axes.xaxis.set_major_formatter("{x:,.0f}")
+        axes.locator_params(axis="x", nbins=5)  # else labels of millions overlap
         figure.legend(loc="outside lower center", ncols=2)
         figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
     write_atomically(path, buffer.getvalue())
