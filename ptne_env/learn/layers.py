@@ -130,7 +130,7 @@ def read_out(weights: Weights, hidden: Any) -> Any:
 def run_layers(weights: Weights, observations: Any, memory: Any, activation: str = "relu") -> tuple[Any, Any]:
     """Compute the outputs (outputs, M) from observations (size, M), and the memory (units, M).
 
-    A network without memory leaves it as it is.
+    A network without a memory returns ``memory`` as it is.
     """
     hidden = read_in(weights, observations, activation)
     if is_recurrent(weights):

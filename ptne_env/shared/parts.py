@@ -105,8 +105,8 @@ def is_part(target: str) -> bool:
 def foreign_targets(data: Any) -> list[str]:
     """List the targets in a spec or in JSON data that are no parts of this library, sorted; nothing is imported.
 
-    The data may be the content of a file: a scenario, a suite or results. In all of these, what names a callable, at
-    any depth, is an object with the key ``target``.
+    The data may be the content of a file: a scenario, a suite or results. In all of these an object with the key
+    ``target``, at any depth, names a callable.
     """
     foreign, pending = set(), [data]
     while pending:

@@ -2,7 +2,7 @@
 
 Independent learners (C. Schroeder de Witt et al., arXiv:2011.09533), feed-forward or with a gated recurrent unit, and
 multi-agent PPO (C. Yu et al., arXiv:2103.01955), whose critic sees the state. Critics read what the actor remembers
-instead of having a memory of their own, which is twice as fast. Everything from rollout to update is one ``lax.scan``,
+instead of having a memory of their own, which is faster. Everything from rollout to update is one ``lax.scan``,
 as in PureJaxRL and JaxMARL.
 
 ``ptne train TRACK --out DIR`` runs it. ``DIR`` then holds ``policy.npz``, ``summary.json``, ``configuration.json``, the
