@@ -38,7 +38,7 @@ class Configuration:
         rollout: the number of steps of every environment between updates.
         minibatches: the number of minibatches per epoch.
         epochs: the number of passes over a rollout.
-        learning_rate: the learning rate at the start; it falls linearly to 0 at the end.
+        learning_rate: the learning rate at the start; it falls to 0 at the end, along a cosine.
         discount: γ of PPO, in [0, 1]. Digits are counted undiscounted, over the whole horizon.
         log_std: the initial logarithm of the actions' standard deviation, at most 0.
         hidden: the number of units of each layer, of actor and critic alike; the last one has the memory, if any.

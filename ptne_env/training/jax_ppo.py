@@ -127,7 +127,7 @@ class Learner:
         self.updates_per_chunk = -(-updates // EVALUATIONS)
         self.chunks = -(-updates // self.updates_per_chunk)
         total = self.chunks * self.updates_per_chunk * configuration.epochs * configuration.minibatches
-        rate = optax.linear_schedule(configuration.learning_rate, 0.0, total)
+        rate = optax.cosine_decay_schedule(configuration.learning_rate, total)
         self.optimiser = optax.chain(optax.clip_by_global_norm(LARGEST_NORM), optax.adam(rate, eps=1e-5))
         self.validation = self.world.state(EpisodeSet(EPISODES, split="validation").initial_state(self.world.numpy))
         self.start, self.evaluate = jax.jit(self._start), jax.jit(self._evaluate)

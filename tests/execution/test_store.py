@@ -39,13 +39,13 @@ def test_nothing_is_stored_without_a_folder_of_a_failed_job_or_of_code_of_the_us
     assert not any(tmp_path.iterdir())
 
 
-def test_progress_is_reported_once_per_job_and_quick_jobs_run_first():
+def test_progress_is_reported_once_per_job_and_long_jobs_run_first():
     calls = []
     runner = Runner(progress=lambda *arguments: calls.append(arguments))
     long = BASE.replace(name="long", steps=500)
-    evaluate(["static", "grounded"], [long, BASE], episodes=1, run=runner)
+    evaluate(["static", "grounded"], [BASE, long], episodes=1, run=runner)
     assert [job for job, *_ in calls] == [
-        f"{name}: {law}" for name in (BASE.name, "long") for law in ("static", "grounded")
+        f"{name}: {law}" for name in ("long", BASE.name) for law in ("static", "grounded")
     ]
     work = [done for _, done, _ in calls]
     assert work == sorted(set(work))
