@@ -7,6 +7,10 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= results
+# Tests and workers start many interpreters, which read bytecode instead of compiling every package again: it is written
+# below VENV, and even where the environment says that none is written.
+unexport PYTHONDONTWRITEBYTECODE
+export PYTHONPYCACHEPREFIX := $(abspath $(VENV))/bytecode
 PIP     = $(BIN)/pip install --no-compile --disable-pip-version-check --constraint constraints.txt
 PYTEST  = $(BIN)/pytest --numprocesses auto --dist worksteal
 CORE    = tests/shared tests/games tests/world tests/perception tests/laws tests/envs tests/evaluation tests/test_import.py tests/test_misuse.py

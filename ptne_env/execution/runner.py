@@ -138,7 +138,7 @@ class Runner:
                 finish(index, stored)
         if store is not None and missing:
             require_writable(store.path("0"))
-        missing.sort(key=lambda index: -cost_of(jobs[index]))  # the longest first, so that no core waits for one of them
+        missing.sort(key=lambda index: -cost_of(jobs[index]))  # long jobs first, so that no core waits for the last one
         own = {name: metric for name, metric in METRICS.items() if metric.is_own}
         for place, result in self.workers.run(_run_job, [(jobs[index], key_of(jobs[index]), own) for index in missing]):
             if store is not None:
