@@ -30,13 +30,13 @@ from baselines.published import (
 )
 from ptne_env import CATALOGUE, evaluate
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, Results
+from ptne_env.evaluation.comparison import LAW
 from ptne_env.evaluation.results import SHOWN, Record
 from ptne_env.evaluation.statistics import Summary
 from ptne_env.execution import Runner, Workers
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites import leaderboard, run_suite
 from ptne_env.suites.robustness import robustness
-from ptne_env.suites.suite import LAW
 
 METRICS = (*SHOWN, "settling_time", "settled_share", "diverged_share")
 """The metrics in the file."""

@@ -35,7 +35,6 @@ def play():
 def bench():
     """The command line, and a shipped policy."""
     from ptne_env import learn
-    from ptne_env.suites import find_scenario
 
     command = Path(sysconfig.get_path("scripts")) / "ptne"
     listed = subprocess.run([command, "list"], capture_output=True, text=True, check=True).stdout  # noqa: S603
@@ -43,7 +42,7 @@ def bench():
     assert names
     assert "energy-switching" in listed
     policy = learn.load(names[0])
-    scenario = find_scenario(policy.metadata.training["scenario"])
+    scenario = ptne_env.get_scenario(policy.metadata.training["scenario"])
     results = ptne_env.evaluate(["static", names[0]], scenario, episodes=3)
     assert results.record(scenario.name, names[0], "digits")["mean"] > 1
     page = [command, "compare", "energy", "--policy", "static", "--episodes", "2", "--out", "out"]

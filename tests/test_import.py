@@ -103,7 +103,6 @@ RANKS = {
     for module in names.split(" | ")
 }
 MESSAGES = {
-    "ptne_env.world.catalogue": "ptne_env.suites.get_suite",
     "ptne_env.evaluation.comparison": "ptne_env.execution.Runner",
 }
 """Messages that tell users of a layer above; the contract names them."""

@@ -19,7 +19,11 @@ MISUSES = {
     # Names of scenarios and of their parts.
     "parallel_env('enrgy')": "unknown scenario 'enrgy'; did you mean 'energy'",
     "parallel_env('ptne/energy-v0')": "is an id of registries; the scenario is 'energy'",
-    "parallel_env('ptne-v1/liar')": r"get_suite\('ptne-v1'\).track\('liar'\).scenario",
+    "parallel_env('ptne-v1/lier')": "unknown track of suite ptne-v1 'lier'; did you mean 'liar'",
+    "parallel_env('ptne/liar')": "is an id of registries",
+    "parallel_env('rounding')": "unknown scenario 'rounding'; did you mean 'ptne-v1/rounding'",
+    "parallel_env('robust/liar')": "unknown suite 'robust'; did you mean 'robustness'",
+    "parallel_env('builtins:dict/liar')": "'builtins:dict/liar' is a dict, not a Scenario",
     "parallel_env(env)": r"such as env\.scenario of an environment; got a NashSeekingEnv",
     "get_scenario(None)": "a scenario is a name or a Scenario, .* got a NoneType",
     "get_scenario('energy', kappa=2)": "unknown scenario field 'kappa'; choose from name, ",
@@ -120,7 +124,8 @@ MISUSES = {
     "Track('mine', 'energy', 'A change.', scored='no')": "scored of track 'mine' must be True or False, got 'no'",
     r"Track('\x1b[2K', 'energy', 'A change.')": "the name of a track must be a text of printable",
     "POLICIES['static'].build('energy')": r"Static is built from a layout, such as env\.layout, got a str",
-    "theory.certify('energy')": "certify needs a Scenario, got the str 'energy'; ptne_env.get_scenario returns",
+    "theory.certify('enrgy')": "unknown scenario 'enrgy'; did you mean 'energy'",
+    "theory.certify(env.world)": r"a scenario is a name or a Scenario, .* got a World",
     "theory.check_game('energy')": "check_game needs a Game, such as env.world.game, got a str",
 }
 

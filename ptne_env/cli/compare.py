@@ -15,13 +15,14 @@ from ptne_env.cli import options
 from ptne_env.cli.app import Command, ExitCode, app
 from ptne_env.cli.console import STDOUT, check_writable, console, progress, say, write_json
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
-from ptne_env.evaluation.comparison import EPISODES
+from ptne_env.evaluation.tracks import EPISODES, get_suite
 from ptne_env.execution import Runner, Workers
 from ptne_env.report.page import results_page
 from ptne_env.report.terminal import answer_tables, result_tables
 from ptne_env.shared.files import write_atomically
+from ptne_env.shared.parts import names_of
 from ptne_env.suites import run_suite
-from ptne_env.suites.suite import SUITES, get_suite, world_names
+from ptne_env.world.catalogue import scenario_names
 
 SUITE = "ptne-v1"
 """The suite that is run where neither a suite nor a scenario is named."""
@@ -44,7 +45,7 @@ def compare(
             metavar="SCENARIO",
             help="Scenarios by name or 'module:object', or tracks of one suite, such as ptne-v1/liar; with --suite "
             "the names of tracks, or all of its tracks if left out. See 'ptne list'.",
-            autocompletion=world_names,
+            autocompletion=scenario_names,
         ),
     ] = None,
     *,
@@ -53,7 +54,7 @@ def compare(
         typer.Option(
             help="Run the tracks of a suite instead of scenarios; 'module:object' runs code of that module.",
             show_default=f"{SUITE}, where no scenario is named",
-            autocompletion=lambda: list(SUITES),
+            autocompletion=lambda: names_of("suite"),
         ),
     ] = None,
     policy: Annotated[
@@ -155,13 +156,14 @@ def _split_names(suite: str | None, names: list[str]) -> tuple[str | None, list[
     """Return the suite that the names belong to, ``None`` for scenarios, and the names without it."""
     if not names:
         return suite or SUITE, []
-    suites = {name.rpartition("/")[0] or suite for name in names} or {suite}
+    published = names_of("suite")
+    suites = {name if name in published else name.rpartition("/")[0] or suite for name in names}
     if len(suites) > 1 or suite not in (None, *suites):
         raise ValueError(
             f"a comparison is of scenarios, or of the tracks of one suite; got {', '.join(map(repr, names))}"
             + f" and --suite {suite}" * (suite is not None)
         )
-    return suites.pop(), [name.rpartition("/")[2] for name in names]
+    return suites.pop(), [name.rpartition("/")[2] for name in names if name not in published]
 
 
 def _choose_run(
@@ -183,4 +185,4 @@ def _choose_run(
         if name in POLICIES:
             raise ValueError(f"{name!r} is a policy, not a scenario: write --policy {name}")
     scenarios = [options.read_scenario(name, changes, trust=trust) for name in places]
-    return partial(evaluate, policies or COMPARED, scenarios, episodes=episodes or EPISODES)
+    return partial(evaluate, policies or COMPARED, scenarios, episodes=episodes)

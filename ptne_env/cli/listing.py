@@ -14,7 +14,8 @@ from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, console, write_json
 from ptne_env.evaluation import METRICS, POLICIES
-from ptne_env.suites.suite import SUITES, get_suite
+from ptne_env.evaluation.tracks import get_suite
+from ptne_env.shared.parts import names_of
 from ptne_env.world.catalogue import CATALOGUE, DESCRIPTIONS
 from ptne_env.world.world import World
 
@@ -47,7 +48,7 @@ def _entries(kind: Kind) -> Iterator[tuple[str, str, str]]:
                 better = metric.direction and f"{metric.direction} is better"
                 yield name, metric.meaning, ", ".join(filter(None, (metric.unit, better)))
         case Kind.SUITES:
-            for name in SUITES:
+            for name in names_of("suite"):
                 yield from ((f"{name}/{track.name}", track.change, "") for track in get_suite(name).tracks)
 
 

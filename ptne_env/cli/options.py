@@ -13,8 +13,7 @@ import typer
 from ptne_env.cli.console import keep_stdout
 from ptne_env.evaluation import POLICIES
 from ptne_env.shared.parts import foreign_targets, is_part
-from ptne_env.suites.suite import find_scenario, world_names
-from ptne_env.world.catalogue import get_scenario
+from ptne_env.world.catalogue import get_scenario, scenario_names
 from ptne_env.world.scenario import Scenario
 
 ScenarioArgument: TypeAlias = Annotated[
@@ -23,7 +22,7 @@ ScenarioArgument: TypeAlias = Annotated[
         metavar="SCENARIO",
         help="A scenario by name, or a track such as ptne-v1/liar; see 'ptne list'. 'module:object' runs code of that "
         "module.",
-        autocompletion=world_names,
+        autocompletion=scenario_names,
     ),
 ]
 PolicyArgument: TypeAlias = Annotated[
@@ -78,7 +77,7 @@ def read_scenario(name: str, changes: Iterable[str] | None, *, trust: bool) -> S
             values[field] = text
     texts = [value for value in values.values() if isinstance(value, str)]
     require_trust([*foreign_names(*texts), *foreign_targets(values)], trust=trust)
-    scenario = find_scenario(name)
+    scenario = get_scenario(name)
     return get_scenario(scenario, **{"name": " ".join([scenario.name, *(changes or ())]), **values})
 
 

@@ -17,9 +17,9 @@ from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, progress, say, write_json
 from ptne_env.evaluation import METRICS
+from ptne_env.evaluation.comparison import LAW
+from ptne_env.evaluation.tracks import find_track
 from ptne_env.shared.names import unknown_name
-from ptne_env.suites import find_track
-from ptne_env.suites.suite import LAW
 
 if TYPE_CHECKING:
     from ptne_env.training.configuration import Configuration, RunSummary

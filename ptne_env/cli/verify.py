@@ -16,8 +16,7 @@ from ptne_env.execution.verification import SAMPLE
 from ptne_env.execution.verification import verify as run_verification
 from ptne_env.report.tables import verification_tables
 from ptne_env.report.terminal import draw_table
-from ptne_env.shared.parts import foreign_targets
-from ptne_env.suites.suite import SUITES
+from ptne_env.shared.parts import foreign_targets, names_of
 
 
 @app.command(cls=Command)
@@ -60,7 +59,7 @@ def verify(
     screen = console()
     for table in verification_tables(outcome):
         screen.print(draw_table(table, screen.width))
-    is_published = data["name"] in list(SUITES)
+    is_published = data["name"] in names_of("suite")
     rules = "those of the published suite" if is_published else "its own: no suite of this name is published"
     say(f"The rules of {data['name']!r} are {rules}")
     say(f"{len(jobs)} of {outcome.jobs} jobs were run again; --seed {outcome.seed} repeats this verification")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -22,20 +22,21 @@ from ptne_env.evaluation.audit import (
 )
 from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.metrics import measure
-from ptne_env.evaluation.policy_spec import PolicySpec, get_policy_spec
-from ptne_env.evaluation.results import Place, Results, Samples
+from ptne_env.evaluation.policy_spec import POLICIES, PolicySpec, get_policy_spec
+from ptne_env.evaluation.results import COMPARISON, Place, Results, Samples
 from ptne_env.evaluation.rollout import rollout
-from ptne_env.evaluation.tracks import Track, compared_tracks
+from ptne_env.evaluation.tracks import Suite, Track, compared_tracks, get_suite
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.observation import LayoutError, ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError
 from ptne_env.shared.arrays import FloatArray, require_count
+from ptne_env.shared.parts import names_of
 from ptne_env.world.dynamics import State
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
 
-EPISODES = 100
-"""Episodes of a scenario in a comparison, unless another number is asked for."""
+ZERO, LAW, ORACLE = REFERENCES = "zero-input", "static", "oracle"
+"""The reference policies that every run of a suite includes: zero input with score 0, the paper's law, an oracle."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +128,11 @@ def _draw_start(world: World, episodes: EpisodeSet) -> State:
     return episodes.initial_state(world)
 
 
+Named: TypeAlias = "str | Path | PolicySpec | Policy"
+
+Policies: TypeAlias = "Named | Iterable[Named] | Mapping[str, Any]"
+"""Policies as :func:`evaluate` takes them."""
+
 Run: TypeAlias = Callable[[Sequence[Job]], list[JobResult]]
 """A function from jobs to their results, in the same order."""
 
@@ -137,40 +143,96 @@ def run_serially(jobs: Sequence[Job]) -> list[JobResult]:
 
 
 def evaluate(
-    policies: str | Path | PolicySpec | Policy | Iterable[str | Path | PolicySpec | Policy],
-    scenarios: str | Scenario | Track | Iterable[str | Scenario | Track],
+    policies: Policies,
+    scenarios: str | Suite | Scenario | Track | Iterable[str | Scenario | Track] = "ptne-v1",
     *,
-    episodes: int = EPISODES,
+    episodes: int | None = None,
     seed: int = 0,
     split: Split = "test",
     run: Run = run_serially,
+    trust: bool = False,
 ) -> Results:
     """Run every policy on every scenario from the same seeded starts.
+
+    A suite is played by :func:`run_suite`, with its reference policies. The name of one track of a suite, such as
+    ``"ptne-v1/rounding"``, stands for its scenario, its episodes and its teammates.
 
     A policy that fails on a track (it raises, answers in another form or does not pass the audit of its decisions)
     has no numbers there: :attr:`~ptne_env.evaluation.results.Results.failures` holds the reason.
 
     Args:
         policies: one or several names, specs or objects with ``predict``, as
-            :func:`~ptne_env.evaluation.policy_spec.get_policy_spec` takes them; or a dictionary of policies by name.
-        scenarios: one or several scenarios, names of the catalogue, ``"module:object"`` or tracks.
-        episodes: the number of random starts; a track in which nothing is random has one episode.
+            :func:`~ptne_env.evaluation.policy_spec.get_policy_spec` takes them; or a dictionary of these, or of
+            functions of the layout, by name.
+        scenarios: one or several scenarios, tracks, or names as :func:`ptne_env.get_scenario` takes them; or one suite,
+            or its name.
+        episodes: the number of random starts; 100, or the suite's own number, if left out. A track with a number of its
+            own keeps it, and a scenario in which nothing is random has one episode.
         seed: the seed of the episode sets.
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
         run: how jobs are run. They run one after the other in this process by default;
             :class:`ptne_env.execution.Runner` stores them in a folder, runs many at a time and shows progress.
+        trust: whether code that is stored in a ``.zip`` may be executed.
 
     Raises:
-        ValueError: for unknown or repeated names, or when no policy fits any track.
+        ValueError: for unknown or repeated names, for a ``.zip`` that is not trusted, or when no policy fits any track.
         TypeError: for an argument of a wrong kind.
         OSError, ImportError, ConnectionError, ChildProcessError: when ``run`` raises them.
     """
-    require_count("episodes", episodes, 1)
+    if episodes is not None:
+        require_count("episodes", episodes, 1)
     if not callable(run):
         raise TypeError(f"run takes jobs, as ptne_env.execution.Runner(folder, Workers(4)) does; got {run!r}")
-    tracks = compared_tracks(as_list(scenarios))
-    sets = {track.name: EpisodeSet(track.episodes or episodes, seed, split) for track in tracks}
-    return compare("comparison", tracks, [get_policy_spec(policy) for policy in as_list(policies)], sets, run)
+    if isinstance(scenarios, Suite) or (isinstance(scenarios, str) and scenarios in names_of("suite")):
+        return run_suite(scenarios, policies, episodes=episodes, seed=seed, split=split, run=run, trust=trust)
+    tracks = compared_tracks(as_list(scenarios), episodes, seed, split)
+    sets = {track.name: drawn for track, drawn in tracks.items()}
+    return compare(COMPARISON, list(tracks), _policy_specs(policies, trust=trust), sets, run)
+
+
+def run_suite(
+    suite: str | Suite,
+    policies: Policies,
+    *,
+    tracks: str | Iterable[str] | None = None,
+    episodes: int | None = None,
+    seed: int = 0,
+    split: Split = "test",
+    run: Run = run_serially,
+    trust: bool = False,
+) -> Results:
+    """Run policies, and the reference policies of the suite, on the tracks of a suite.
+
+    Args:
+        suite: a suite, its name, or a ``"module:object"``.
+        policies: the policies, as for :func:`evaluate`.
+        tracks: one name of a track or several; all tracks if left out.
+        episodes: the number of episodes per track; the suite's own number if left out.
+        seed: the seed of the episode sets; that of published results is 0.
+        split: as for :func:`evaluate`.
+        run: likewise.
+        trust: likewise.
+
+    Raises:
+        ValueError: for unknown or repeated names, or a policy with the name of a reference policy.
+        RuntimeError: when a reference policy fails.
+        OSError, ImportError, ConnectionError, ChildProcessError: as :class:`ptne_env.execution.Runner` raises them.
+    """
+    target = suite if isinstance(suite, str) else None
+    suite = get_suite(suite)
+    names = [track.name for track in suite.tracks] if tracks is None else list(dict.fromkeys(as_list(tracks)))
+    sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
+    specs = _policy_specs(policies, trust=trust)
+    for name in REFERENCES:
+        same = [spec for spec in specs if spec.name == name]
+        if any(spec != POLICIES[name] for spec in same):
+            raise ValueError(f"{name!r} is the name of a reference policy: give your policy another name")
+        specs += [] if same else [POLICIES[name]]
+    results = compare(suite.name, [suite.track(name) for name in names], specs, sets, run, target)
+    for (track, policy), reason in results.failures.items():
+        if policy in REFERENCES:
+            raise RuntimeError(f"the reference policy {policy!r} fails on track {track!r}: {reason}")
+    return results
 
 
 def as_list(things: Any) -> list[Any]:
@@ -179,11 +241,8 @@ def as_list(things: Any) -> list[Any]:
     Raises:
         TypeError: for an object that is none of the things to compare, such as an environment.
     """
-    known = PolicySpec | Scenario | Track
-    if isinstance(things, str | Path | known) or hasattr(things, "predict"):
+    if isinstance(things, str | Path | PolicySpec | Scenario | Track) or hasattr(things, "predict"):
         return [things]
-    if isinstance(things, Mapping):
-        return [thing if isinstance(thing, known) else PolicySpec(name, thing) for name, thing in things.items()]
     if isinstance(things, type) or not isinstance(things, Iterable):
         kind = f"the class {things.__name__}" if isinstance(things, type) else f"a {type(things).__name__}"
         raise TypeError(
@@ -192,6 +251,18 @@ def as_list(things: Any) -> list[Any]:
             "the layout)"
         )
     return list(things)
+
+
+def _policy_specs(policies: Policies, *, trust: bool) -> list[PolicySpec]:
+    """Return the specs of policies as :func:`evaluate` takes them."""
+    if not isinstance(policies, Mapping):
+        return [get_policy_spec(policy, trust=trust) for policy in as_list(policies)]
+    return [
+        replace(get_policy_spec(policy, trust=trust), name=name)
+        if isinstance(policy, str | Path | PolicySpec)
+        else PolicySpec(name, policy)
+        for name, policy in policies.items()
+    ]
 
 
 def compare(

@@ -33,6 +33,9 @@ FORMAT = 8
 Record: TypeAlias = dict[str, Any]
 """Keys: track, policy, metric, mean, low, high, episodes; the numbers are ``None`` as in a :class:`Summary`."""
 
+COMPARISON = "comparison"
+"""The name of all comparisons of scenarios."""
+
 SHOWN = ("digits", "digits_on_the_way", "digits_cvar")
 """The metrics of every table: the score, that which breaks ties, and that which shows bad episodes."""
 
@@ -102,7 +105,7 @@ class Results:
     @property
     def is_comparison(self) -> bool:
         """Whether it is a comparison of scenarios, which has no reference policies and no scores."""
-        return all(episodes.track is None for episodes in self.episode_sets.values())
+        return self.name == COMPARISON
 
     @cached_property
     def reasons(self) -> dict[Place, str]:

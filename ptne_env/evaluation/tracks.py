@@ -1,4 +1,4 @@
-"""Tracks: scenarios on which policies are compared, with the rules of their episodes."""
+"""Tracks and suites: scenarios on which policies are compared, with the rules of their episodes."""
 
 from __future__ import annotations
 
@@ -7,14 +7,19 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
+from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.rollout import Member
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.arrays import require_count, require_flag, require_printable
-from ptne_env.shared.parts import FactorySpec, foreign_targets, resolve
-from ptne_env.world.catalogue import get_scenario
+from ptne_env.shared.names import unknown_name
+from ptne_env.shared.parts import FactorySpec, foreign_targets, make, resolve, target_of
+from ptne_env.world.catalogue import get_scenario, split_track
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
+
+EPISODES = 100
+"""Episodes of a scenario in a comparison, unless another number is asked for."""
 
 
 @dataclass(frozen=True)
@@ -104,24 +109,117 @@ def _world(scenario: Scenario, definitions: tuple[Any, ...]) -> World:  # noqa: 
     return World(scenario)
 
 
-def compared_tracks(scenarios: Iterable[str | Scenario | Track]) -> tuple[Track, ...]:
-    """Return the tracks of what :func:`ptne_env.evaluate` takes. One in which nothing is random has one episode.
+@dataclass(frozen=True)
+class Suite:
+    """Tracks, and the rules by which they are run.
+
+    Attributes:
+        name: the name, such as ``"ptne-v1"``, which is part of the seeds of all episodes.
+        tracks: the tracks in the order of tables.
+        episodes: the number of episodes of every track without a number of its own.
 
     Raises:
-        ValueError: for an unknown name, a ``"module:object"`` that is no scenario, repeated names, or none.
+        ValueError: when names of tracks repeat, when there is no track, or when the number of episodes is below 1.
+    """
+
+    name: str
+    tracks: tuple[Track, ...]
+    episodes: int = 200
+
+    def __post_init__(self) -> None:
+        require_count("a suite's number of episodes", self.episodes, 1)
+        require_printable("the name of a suite", self.name)
+        names = [track.name for track in self.tracks]
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"a suite needs tracks with different names, got {names}")
+
+    def track(self, name: str) -> Track:
+        """Return a track by name; ``ValueError`` for an unknown one."""
+        for track in self.tracks:
+            if track.name == name:
+                return track
+        raise ValueError(unknown_name(f"track of suite {self.name}", name, [track.name for track in self.tracks]))
+
+    def scenario(self, track: str) -> Scenario:
+        """Return the scenario of a track, by the track's name.
+
+        Raises:
+            ValueError: for an unknown track, or one of which some players follow a fixed policy.
+        """
+        if (found := self.track(track)).teammates is not None:
+            raise ValueError(
+                f"track {track!r} is more than its scenario: some of its players follow a fixed policy; only "
+                "ptne_env.evaluate and 'ptne compare' play it"
+            )
+        return found.scenario
+
+    def episode_set(
+        self, track: str, episodes: int | None = None, *, seed: int = 0, split: Split = "test"
+    ) -> EpisodeSet:
+        """Return the episodes of a track, whose own number stands before ``episodes``, and that before the suite's.
+
+        Raises:
+            ValueError: for an unknown track or split, or a number out of range.
+        """
+        count = self.track(track).episodes or (self.episodes if episodes is None else episodes)
+        return EpisodeSet(count, seed, split, (self.name, track))
+
+
+def get_suite(suite: str | Suite) -> Suite:
+    """Return a suite by name or by ``"module:object"``, a suite or a function without arguments that makes one.
+
+    Raises:
+        ValueError: for an unknown name, or an object that is not a suite.
+    """
+    made = make(target_of("suite", suite)) if isinstance(suite, str) else suite
+    if not isinstance(made, Suite):
+        raise ValueError(f"{suite!r} is a {type(made).__name__}, not a Suite")
+    return made
+
+
+def find_track(scenario: str | Scenario | Track) -> Track:
+    """Return the track of a suite by both names, such as ``"ptne-v1/liar"``, or that of a scenario.
+
+    The first names no number of episodes. A scenario in which nothing is random has one episode.
+
+    Raises:
+        ValueError: for an unknown name, or a ``"module:object"`` that is no scenario.
         TypeError: for another object, such as an environment.
     """
-    tracks = tuple(item if isinstance(item, Track) else _as_track(get_scenario(item)) for item in scenarios)
-    names = [track.name for track in tracks]
+    if isinstance(scenario, Track):
+        return scenario
+    if isinstance(scenario, str) and "/" in scenario:
+        suite, name = split_track(scenario)
+        return replace(get_suite(suite).track(name), name=scenario, episodes=None)
+    scenario = get_scenario(scenario)
+    track = Track(scenario.name, scenario, "Random episodes.")
+    if track.world.is_random:
+        return track
+    return replace(track, change="One episode, because nothing is random.", episodes=1)
+
+
+def compared_tracks(
+    scenarios: Iterable[str | Scenario | Track], episodes: int | None = None, seed: int = 0, split: Split = "test"
+) -> dict[Track, EpisodeSet]:
+    """Return the tracks of what :func:`ptne_env.evaluate` takes, and their episodes: a suite's where it names a track.
+
+    Raises:
+        ValueError: as :func:`find_track`, for repeated names, or none.
+        TypeError: likewise.
+    """
+    tracks: dict[Track, EpisodeSet] = {}
+    names = []
+    for scenario in scenarios:
+        track = find_track(scenario)
+        drawn = EpisodeSet(track.episodes or episodes or EPISODES, seed, split)
+        if isinstance(scenario, str) and "/" in scenario:
+            suite, name = split_track(scenario)
+            drawn = get_suite(suite).episode_set(name, episodes, seed=seed, split=split)
+            track = replace(track, episodes=drawn.count)
+        tracks[track] = drawn
+        names.append(track.name)
     if not names:
         raise ValueError("a comparison needs at least one scenario")
     if repeated := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"a comparison needs different scenarios; {', '.join(repeated)} would be run more than once")
     return tracks
-
-
-def _as_track(scenario: Scenario) -> Track:
-    track = Track(scenario.name, scenario, "Random episodes.")
-    if track.world.is_random:
-        return track
-    return replace(track, change="One episode, because nothing is random.", episodes=1)

@@ -13,17 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.evaluation.comparison import Job
+from ptne_env.evaluation.comparison import REFERENCES, Job
 from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.metrics import METRICS
 from ptne_env.evaluation.policy_spec import POLICIES
 from ptne_env.evaluation.provenance import arithmetic, file_hash, unequal, versions
 from ptne_env.evaluation.results import SHOWN, Place, Results, read_results
 from ptne_env.evaluation.statistics import chance, differ_by_rounding
+from ptne_env.evaluation.tracks import Suite, get_suite
 from ptne_env.learn.policy_files import DATA, LARGEST_FILE
 from ptne_env.shared.arrays import FloatArray, require_count
-from ptne_env.shared.parts import foreign_targets
-from ptne_env.suites.suite import REFERENCES, SUITES, Suite, get_suite
+from ptne_env.shared.parts import foreign_targets, names_of
 
 SAMPLE = 2
 """Number of jobs of every policy that run again, beside those without numbers."""
@@ -195,13 +195,13 @@ def _faults_of_values(results: Results, place: Place, at: str) -> Iterator[str]:
 
 def _faults_of_content(results: Results, data: Mapping[str, Any]) -> Iterator[str]:
     """Yield where the file is not what its samples, the files of its policies, and published names give."""
-    names = [name for name in SUITES if name in (results.name, results.target)]
+    names = [name for name in names_of("suite") if name in (results.name, results.target)]
     usual = max((results.episodes[track.name] for track in results.tracks if not track.episodes), default=1)
     suite = get_suite(names[0]) if names else Suite(results.name, results.tracks, usual)
     split: Split = "test" if names else results.split
     episodes = {track.name: suite.episode_set(track.name, seed=results.seed, split=split) for track in suite.tracks}
     if results.is_comparison and not names:
-        episodes = {name: replace(drawn, track=None) for name, drawn in episodes.items()}
+        episodes = {name: replace(drawn, track=results.episode_sets[name].track) for name, drawn in episodes.items()}
     machine = {key: data[key] for key in ("versions", "arithmetic") if isinstance(data.get(key), dict)}
     expected = results.to_dict() | {
         "name": suite.name,

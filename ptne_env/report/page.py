@@ -201,7 +201,7 @@ def _scene_arguments(results: Results, track: Track) -> tuple[Track, EpisodeSet,
 
 def _track_section(results: Results, track: Track, episodes: int) -> Section:
     scenario, game = track.scenario, track.world.game
-    about = DESCRIPTIONS.get(track.name, "") if results.is_comparison else track.change
+    about = DESCRIPTIONS.get(track.name, track.change) if results.is_comparison else track.change
     until = "the end; the deadline is dotted" if scenario.hold_steps else "the deadline"
     median = f"median and 10–90 % band over {episodes} episodes" if episodes > 1 else "one episode"
     return Section(

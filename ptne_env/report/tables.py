@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+from ptne_env.evaluation.comparison import LAW
 from ptne_env.evaluation.metrics import METRICS, number
 from ptne_env.evaluation.policy_spec import MARKS, POLICIES
 from ptne_env.evaluation.results import SHOWN, Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
 from ptne_env.execution.verification import Repetition, Verification
-from ptne_env.suites.suite import LAW, Row, leaderboard
+from ptne_env.suites.leaderboard import Row, leaderboard
 from ptne_env.theory import Certificate
 
 DIGITS_NOTE = "digits: 2 is an error of all estimates of 1 %, 3 is an error of 0.1 %; 12 at most"

@@ -8,6 +8,9 @@ from difflib import get_close_matches
 _SYMBOLS = {"T": "deadline", "c": "gain", "K": "steps", "N": "players"}
 """Arguments by their symbols in the paper."""
 
+_MOST = 30
+"""The largest number of names that a message lists."""
+
 
 def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = "") -> str:
     """Return the message that a name of a ``kind``, such as "scenario", does not exist; see :func:`suggestion`."""
@@ -15,7 +18,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = ""
 
 
 def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
-    """Return the second half of the message: up to three similar names, or all where none is similar.
+    """Return the second half of the message: up to three similar names, or the first thirty where none is.
 
     Capitals do not count, ``_`` is ``-``, and a name may be the beginning or, after ``/``, the end of the meant one.
 
@@ -34,7 +37,8 @@ def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
     near = list(dict.fromkeys(repr(parts[part]) for part in similar))[:3]
     if near:
         return f"did you mean {' or '.join(filter(None, (', '.join(near[:-1]), near[-1])))}?"
-    return f"choose from {', '.join(choices)}" + f", or {otherwise}" * bool(otherwise)
+    listed = [*choices[:_MOST], *["…"] * (len(choices) > _MOST)]
+    return f"choose from {', '.join(listed)}" + f", or {otherwise}" * bool(otherwise)
 
 
 def _plain(name: str) -> str:

@@ -83,6 +83,8 @@ PARTS: Mapping[str, str] = {
     "law:static": "ptne_env.laws:Static",
     "law:zero-input": "ptne_env.laws:ZeroInput",
     "policy:file": "ptne_env.learn:load",
+    "suite:ptne-v1": "ptne_env.suites.ptne_v1:SUITE",
+    "suite:robustness": "ptne_env.suites.robustness:robustness",
 }
 """The parts that ship, by id. Adding one takes its class or function and one line here; tests import each."""
 
@@ -95,6 +97,24 @@ _MAIN = "__main__"
 def part_id(target: str) -> str:
     """Return the id of a part of this library that is named by ``module:object``; any other target as it is."""
     return _IDS.get(target, target)
+
+
+def names_of(kind: str) -> list[str]:
+    """Return the names of the parts of a kind, such as ``"law"``: their ids without the kind."""
+    return [target.partition(":")[2] for target in PARTS if target.startswith(f"{kind}:")]
+
+
+def target_of(kind: str, name: str, *others: str) -> str:
+    """Return the target of a part of a kind by its name, its id or its ``module:object``.
+
+    Raises:
+        ValueError: for an unknown name; the message has the names of parts and the ``others``.
+    """
+    if ":" in name:
+        return name
+    if name in (known := names_of(kind)):
+        return f"{kind}:{name}"
+    raise ValueError(unknown_name(kind, name, [*known, *others], "'module:object', an object or a FactorySpec"))
 
 
 def is_part(target: str) -> bool:
@@ -135,8 +155,7 @@ def resolve(target: str) -> Any:
     try:
         module = importlib.import_module(module_name)
     except (ImportError, TypeError, SystemExit) as error:  # a relative name is a TypeError
-        alike = [name.partition(":")[2] for name in PARTS if name.startswith(f"{module_name}:")]
-        if alike:
+        if alike := names_of(module_name):
             raise ValueError(unknown_name(module_name, attribute, alike)) from error
         raise ValueError(f"cannot import the module of part {target!r}: {error}") from error
     try:
@@ -148,6 +167,16 @@ def resolve(target: str) -> Any:
                 "define it in a module, which every program can import"
             ) from error
         raise ValueError(f"module {module_name!r} has no {attribute!r}; part {target!r} cannot be built") from error
+
+
+def make(target: str) -> Any:
+    """Return the object that a target names, or what it makes if it is a function or a class without arguments.
+
+    Raises:
+        ValueError: as :func:`resolve`.
+    """
+    named = resolve(target)
+    return named() if callable(named) else named
 
 
 def checked(check: Callable[..., Any], *limits: Any, default: Any = MISSING) -> Any:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from ptne_env.evaluation.tracks import Track
+from ptne_env.evaluation.tracks import Suite, Track
 from ptne_env.shared.parts import FactorySpec
-from ptne_env.suites.suite import Suite
 from ptne_env.world.catalogue import get_scenario
 
 part = FactorySpec.of

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from ptne_env.evaluation.tracks import Track
+from ptne_env.evaluation.tracks import Suite, Track
 from ptne_env.shared.arrays import FloatArray, ordered_sum
 from ptne_env.shared.parts import FactorySpec
-from ptne_env.suites.suite import Suite
 from ptne_env.world.graphs import Graph
 from ptne_env.world.scenario import Scenario
 
@@ -75,6 +74,7 @@ class DrawnGame(NamedTuple):
     equilibrium: FloatArray | None = None
 
 
+@cache
 def robustness(seed: int = 1) -> Suite:
     """Return the suite of the 100 random worlds of a seed; laws may be tuned on those of seed 1 alone."""
     generator = np.random.default_rng(seed)

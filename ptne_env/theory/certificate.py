@@ -28,6 +28,7 @@ from ptne_env.theory.closed_loop import (
 from ptne_env.theory.conditions import Condition, condition
 from ptne_env.theory.constants import last_modes, problem_constants
 from ptne_env.world import distances
+from ptne_env.world.catalogue import get_scenario
 from ptne_env.world.channels import Chain
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import RANGE_LIMIT, SHORTFALL_WARNING, World
@@ -84,26 +85,22 @@ class Certificate:
         return data
 
 
-def certify(scenario: Scenario, law: str | FactorySpec | PolicySpec | type[Law] = Static) -> Certificate:
+def certify(scenario: str | Scenario, law: str | FactorySpec | PolicySpec | type[Law] = Static) -> Certificate:
     """Predict what a law does on a scenario, and check the assumptions of its theorem.
 
     Args:
-        scenario: the scenario. Of a random start or topology one draw counts, with seed 0; of random games, a typical
-            one.
+        scenario: a scenario, or its name, as for :func:`ptne_env.get_scenario`. Of a random start or topology one draw
+            counts, with seed 0; of random games, a typical one.
         law: the class of a law, a spec such as ``FactorySpec.of("law:grounded", kappa=4.0)``, or whatever
             :func:`~ptne_env.evaluation.get_policy_spec` takes. A closed loop has a law that is linear in gradient and
             differences, possibly with gains that adapt.
 
     Raises:
-        TypeError: when ``scenario`` is no :class:`~ptne_env.world.scenario.Scenario`; a name is none.
-        ValueError: when ``law`` does not build a law that can act on the scenario.
+        TypeError: when ``scenario`` is something else.
+        ValueError: for an unknown scenario, or when ``law`` does not build a law that can act on the scenario.
         PolicyError: when the constructor of the law fails.
     """
-    if not isinstance(scenario, Scenario):
-        raise TypeError(
-            f"certify needs a Scenario, got the {type(scenario).__name__} {scenario!r}; "
-            "ptne_env.get_scenario returns the scenario of a name"
-        )
+    scenario = get_scenario(scenario)
     world = World(scenario)
     built, constants = build_law(law, world), problem_constants(world)
     certificate = Certificate(

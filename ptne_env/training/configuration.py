@@ -16,8 +16,8 @@ import numpy as np
 from ptne_env.shared.arrays import require_count, require_positive, require_printable, require_probability
 from ptne_env.shared.files import DamagedFileError, read_file, read_json, write_atomically
 from ptne_env.shared.names import unknown_name
-from ptne_env.suites.suite import world_names
 from ptne_env.training import TRAINERS, configurations
+from ptne_env.world.catalogue import scenario_names
 
 ALGORITHMS = tuple(name for name, trainer in TRAINERS.items() if trainer.unit == "agent-steps")
 """The algorithms of a configuration, which counts agent-steps."""
@@ -107,9 +107,9 @@ def _read_values(name: str) -> dict[str, Any]:
     path = Path(name)
     if path.suffix != ".toml":
         if name not in configurations():
-            if ":" in name or name in world_names():
+            if ":" in name or name in (scenarios := scenario_names()):
                 return {"scenario": name}
-            raise ValueError(unknown_name("configuration", name, [*configurations(), *world_names()], "a .toml file"))
+            raise ValueError(unknown_name("configuration", name, [*configurations(), *scenarios], "a .toml file"))
         path = configurations()[name]
     content = read_file(path)
     try:

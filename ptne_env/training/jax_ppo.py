@@ -26,6 +26,7 @@ import optax
 
 import ptne_env.jax
 from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.evaluation.tracks import find_track
 from ptne_env.laws.static import static_inputs
 from ptne_env.learn.layers import (
     Metadata,
@@ -40,7 +41,6 @@ from ptne_env.learn.layers import (
 from ptne_env.learn.npz_policy import open_policy, seal
 from ptne_env.perception.fields import LOG_SCALE_UNIT
 from ptne_env.shared.files import write_atomically
-from ptne_env.suites import find_track
 from ptne_env.training.configuration import (
     Configuration,
     RunSummary,

@@ -32,9 +32,9 @@ from ptne_env.learn.npz_policy import open_policy, seal
 from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.files import require_file, write_atomically
-from ptne_env.suites import find_scenario
 from ptne_env.training.configuration import Configuration, RunSummary, read_finished_run, write_record
 from ptne_env.training.curve import validate
+from ptne_env.world.catalogue import get_scenario
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -73,7 +73,7 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
         return ended
     began = monotonic()
     torch.set_num_threads(1)  # the networks are small: a second thread costs more time than it saves
-    scenario = find_scenario(configuration.scenario)
+    scenario = get_scenario(configuration.scenario)
     env = PlayerVecEnv(scenario, configuration.envs)
     model = PPO("MlpPolicy", env, **_ppo_arguments(configuration, env.num_envs))
     checkpoints = out / "checkpoints"

@@ -40,10 +40,10 @@ from ptne_env.learn.recurrent import (
 )
 from ptne_env.shared.arrays import require_count, require_positive, require_probability, without_gradient
 from ptne_env.shared.files import write_atomically
-from ptne_env.suites.suite import find_scenario
 from ptne_env.training.configuration import RunSummary, read_finished_run, write_record
 from ptne_env.training.curve import write_learning_curve
 from ptne_env.world import distances
+from ptne_env.world.catalogue import get_scenario
 
 POLICY = "policy.npz"
 """The name of the file of the policy."""
@@ -233,7 +233,7 @@ def train(
         return ended
     jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
     began = saved = monotonic()
-    tracks = tracks or [Track(settings.scenario, find_scenario(settings.scenario), "")]
+    tracks = tracks or [Track(settings.scenario, get_scenario(settings.scenario), "")]
     weights = _starting_weights(settings)
     resumed_at, steps, reached = 0, 0, -math.inf
     if (out / POLICY).exists():

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ptne_env.shared.names import unknown_name
-from ptne_env.shared.parts import FactorySpec, resolve
+from ptne_env.shared.parts import FactorySpec, make, names_of, target_of
 from ptne_env.world.scenario import Scenario
 
 _SCENARIOS: dict[str, tuple[Scenario, str]] = {}
@@ -86,34 +86,19 @@ def get_scenario(
     >>> get_scenario("energy", start="random")
 
     Args:
-        scenario: a name of the catalogue, a ``"module:object"`` that is a scenario or a function that makes one, a
-            scenario, or the JSON object of one.
+        scenario: a name of the catalogue, the name of a track, such as ``"ptne-v1/rounding"``, a ``"module:object"``
+            that is a scenario or a function that makes one, a scenario, or the JSON object of one.
         players: N of its game and of its topology, where both have the parameter ``players``, as ``random-energy`` on
             a cycle has.
         **overrides: the fields that change.
 
     Raises:
         TypeError: for anything but a name or a scenario.
-        ValueError: for an unknown name or field, or another number of ``players`` where a part has a fixed size.
+        ValueError: for an unknown name or field, for a track in which some players follow a fixed policy, or for
+            another number of ``players`` where a part has a fixed size.
     """
     if isinstance(scenario, str):
-        if ":" in scenario:
-            target, definition = scenario, resolve(scenario)
-            scenario = definition() if callable(definition) else definition
-            if not isinstance(scenario, Scenario):
-                raise ValueError(f"{target!r} is a {type(scenario).__name__}, not a Scenario")
-            return get_scenario(scenario, players=players, **overrides)
-        if scenario not in CATALOGUE:
-            suite, separator, track = scenario.partition("/")
-            if track.removesuffix("-v0") in CATALOGUE:
-                raise ValueError(f"{scenario!r} is an id of registries; the scenario is {track.removesuffix('-v0')!r}")
-            if separator:
-                raise ValueError(
-                    f"{scenario!r} is no scenario; if it is the track of a suite, give "
-                    f"ptne_env.suites.get_suite({suite!r}).track({track!r}).scenario"
-                )
-            raise ValueError(unknown_name("scenario", scenario, CATALOGUE))
-        scenario = CATALOGUE[scenario]
+        scenario = CATALOGUE.get(scenario) or _find_scenario(scenario)
     if isinstance(scenario, Mapping):
         scenario = Scenario.from_dict(scenario)
     if not isinstance(scenario, Scenario):  # an environment, for example
@@ -121,6 +106,33 @@ def get_scenario(
         raise TypeError(f"a scenario is a name or a Scenario, such as env.scenario of an environment; got a {kind}")
     scenario = scenario.replace(**overrides)
     return scenario if players is None else _resize(scenario, players, overrides)
+
+
+def _find_scenario(name: str) -> Scenario:
+    """Return the scenario of a track, by the names of its suite and its own, or of a ``"module:object"``."""
+    suite, track = split_track(name)
+    if not suite and ":" not in name:
+        raise ValueError(unknown_name("scenario", name, scenario_names()))
+    made = make(target_of("suite", suite) if suite else name)
+    found = made.scenario(track) if suite and hasattr(made, "scenario") else made
+    if not isinstance(found, Scenario):
+        raise ValueError(f"{name!r} is a {type(found).__name__}, not a Scenario")
+    return found
+
+
+def split_track(name: str) -> tuple[str, str]:
+    """Return the two names of a track, such as ``"ptne-v1/liar"``; the first is empty where the name has no slash."""
+    suite, _, track = name.rpartition("/")
+    if suite == "ptne":
+        scenario = track.removesuffix("-v0").removesuffix("-joint")
+        raise ValueError(f"{name!r} is an id of registries; the scenario is {scenario!r}")
+    return suite, track
+
+
+def scenario_names() -> list[str]:
+    """Return all names of scenarios: those of the catalogue, and of the tracks of published suites."""
+    tracks = [f"{suite}/{track.name}" for suite in names_of("suite") for track in make(f"suite:{suite}").tracks]
+    return [*CATALOGUE, *tracks]
 
 
 def _resize(scenario: Scenario, players: int, overrides: Mapping[str, Any]) -> Scenario:

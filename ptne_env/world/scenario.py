@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ptne_env.shared.arrays import require_printable
 from ptne_env.shared.names import unknown_name
-from ptne_env.shared.parts import PARTS, FactorySpec, Part
+from ptne_env.shared.parts import FactorySpec, Part, target_of
 
 if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
     from ptne_env.world.clock import Spacing
@@ -33,7 +33,9 @@ def _as_spec(field: str, value: Any) -> FactorySpec:
     if isinstance(value, Mapping):
         return FactorySpec.from_dict(value)
     if isinstance(value, str):
-        return UNIFORM_START if (field, value) == ("start", "random") else FactorySpec.of(_target(field, value))
+        if (field, value) == ("start", "random"):
+            return UNIFORM_START
+        return FactorySpec.of(target_of(field, value, *["random"] * (field == "start")))
     if isinstance(value, Part | type | FunctionType):
         return FactorySpec.of(value)
     if field == "topology" and type(value).__module__.startswith("networkx."):
@@ -49,15 +51,6 @@ def _as_spec(field: str, value: Any) -> FactorySpec:
         )
     target, argument = _ARRAYS[field]
     return FactorySpec.of(target, **{argument: value})
-
-
-def _target(field: str, name: str) -> str:
-    """Return the target that a string of a field names."""
-    known = [target.partition(":")[2] for target in PARTS if target.startswith(f"{field}:")]
-    if ":" in name or name in known:
-        return name if ":" in name else f"{field}:{name}"
-    known += ["random"] * (field == "start")
-    raise ValueError(unknown_name(field, name, known, "'module:object', an object or a FactorySpec"))
 
 
 @dataclass(frozen=True, kw_only=True)

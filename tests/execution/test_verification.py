@@ -11,15 +11,15 @@ from ptne_env import FactorySpec, PolicySpec, evaluate, laws
 from ptne_env.evaluation.results import Results
 from ptne_env.execution.verification import verify
 from ptne_env.learn import shipped_path
+from ptne_env.shared.parts import PARTS
 from ptne_env.suites import run_suite
-from ptne_env.suites.suite import SUITES
 
 
 @pytest.fixture(autouse=True, scope="module")
 def published_suite():
     """A small suite is published under its name."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(SUITES, "small-v1", "small_suite:SMALL")
+        patch.setitem(PARTS, "suite:small-v1", "small_suite:SMALL")
         yield
 
 

@@ -18,7 +18,6 @@ from ptne_env.learn import PolicyFileError, npz_policy
 from ptne_env.learn.sb3_archive import load_archive
 from ptne_env.perception.observation import LayoutError
 from ptne_env.shared.files import DamagedFileError
-from ptne_env.suites import find_scenario
 from ptne_env.training import configurations
 
 
@@ -187,5 +186,5 @@ def test_the_shipped_files_are_found_in_a_zip(tmp_path):
 def test_the_shipped_policies_have_digits_where_they_were_trained(name, scenario, digits):
     policy = learn.load(name)
     assert policy.metadata.training["scenario"] == scenario
-    results = ptne_env.evaluate([name], [find_scenario(scenario)], episodes=10, split="validation")
+    results = ptne_env.evaluate([name], [ptne_env.get_scenario(scenario)], episodes=10, split="validation")
     assert results.record(results.tracks[0].name, name, "digits")["mean"] > digits

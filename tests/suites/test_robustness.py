@@ -14,8 +14,8 @@ from ptne_env.evaluation.comparison import compare
 from ptne_env.games import require_strong_monotonicity
 from ptne_env.shared.parts import foreign_targets
 from ptne_env.shared.random_streams import RandomStreams
+from ptne_env.suites import get_suite
 from ptne_env.suites.robustness import robustness
-from ptne_env.suites.suite import get_suite
 
 FIELDS = ("game", "topology", "start", "deadline", "gain", "steps", "s_end", "input_limit", "channel", "message_range")
 SEEDS = (1, 12)

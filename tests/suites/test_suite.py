@@ -6,16 +6,17 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from small_suite import BASE, SMALL
+from small_suite import BASE, SMALL, TEAMS
 
 import ptne_env
-from ptne_env import laws
+from ptne_env import evaluate, get_scenario, laws
 from ptne_env.evaluation import POLICIES, PolicySpec, Track
 from ptne_env.evaluation.episodes import track_seed
+from ptne_env.evaluation.tracks import compared_tracks
 from ptne_env.perception.encoder import Encoder
-from ptne_env.shared.parts import foreign_targets
-from ptne_env.suites import Suite, find_scenario, get_suite, run_suite
-from ptne_env.suites.suite import SUITES, world_names
+from ptne_env.shared.parts import PARTS, foreign_targets
+from ptne_env.suites import Suite, get_suite, leaderboard, run_suite
+from ptne_env.world.catalogue import scenario_names
 
 
 def test_every_track_of_ptne_v1_is_a_valid_world_of_the_library_with_a_sentence():
@@ -67,14 +68,31 @@ def test_scenarios_and_suites_are_found_by_name_and_address(monkeypatch):
     monkeypatch.setitem(sys.modules, "mine", mine := ModuleType("mine"))
     mine.suite, mine.make, mine.scenario = SMALL, lambda: SMALL, BASE
     assert get_suite("mine:suite") is get_suite("mine:make") is SMALL
-    assert find_scenario("mine:suite/ring") == find_scenario("mine:scenario") == BASE
-    assert find_scenario("energy") == ptne_env.get_scenario("energy")
-    assert {*ptne_env.CATALOGUE, "ptne-v1/rounding"} < set(world_names())
-    assert all(name in SUITES for name in ["ptne-v1"])
-    with pytest.raises(ValueError, match="unknown scenario 'delay'"):
-        find_scenario("delay")
-    with pytest.raises(ValueError, match="some of its players follow a fixed policy"):
-        find_scenario("small_suite:TEAMS/strangers")
+    assert get_scenario("mine:suite/ring") == get_scenario("mine:scenario") == BASE
+    assert get_scenario("ptne-v1/rounding") == get_suite("ptne-v1").track("rounding").scenario
+    assert {*ptne_env.CATALOGUE, "ptne-v1/rounding"} < set(scenario_names())
+    with pytest.raises(ValueError, match="some of its players follow a fixed policy; only ptne_env.evaluate and"):
+        get_scenario("small_suite:TEAMS/strangers")
+
+
+def test_evaluate_plays_a_track_by_its_name_as_the_suite_does():
+    mine = {"law": "grounded"}
+    names = ["small_suite:TEAMS/strangers", "ptne-v1/rounding", "energy"]
+    results = evaluate(mine, names, episodes=2)
+    assert [track.name for track in results.tracks] == names
+    assert results.episode_sets["ptne-v1/rounding"] == get_suite("ptne-v1").episode_set("rounding", 2)
+    expected = run_suite(TEAMS, mine, episodes=2).samples["strangers", "law"]["digits"]
+    np.testing.assert_array_equal(results.samples[names[0], "law"]["digits"], expected)
+    assert leaderboard(results) is None
+    assert compared_tracks(["ptne-v1/rounding"]).popitem()[1].count == 60
+
+
+def test_evaluate_plays_a_suite_and_its_name(monkeypatch):
+    monkeypatch.setitem(PARTS, "suite:small-v1", "small_suite:SMALL")
+    by_name, by_object = (evaluate("grounded", suite, episodes=1) for suite in ("small-v1", SMALL))
+    assert by_name.target == "small-v1"
+    assert by_name.episode_sets == by_object.episode_sets == run_suite(SMALL, "grounded", episodes=1).episode_sets
+    assert list(by_object.policies) == ["grounded", "zero-input", "static", "oracle"]
 
 
 def test_a_run_includes_the_reference_policies_and_refuses_their_names():
