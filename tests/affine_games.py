@@ -54,6 +54,14 @@ def random_affine(generator, players, coupling=0.5):
     return matrix, generator.uniform(-5, 5, players), adjacency
 
 
+def random_digraph(generator, players):
+    """The adjacency of a random directed graph that is strongly connected: a ring in random order and other links."""
+    order, adjacency = generator.permutation(players), generator.uniform(0.5, 1.5, (players, players))
+    is_linked = generator.uniform(size=adjacency.shape) < 0.2
+    is_linked[order, np.roll(order, 1)] = True
+    return adjacency * is_linked * (1 - np.eye(players))
+
+
 def run(world, encoder, law, start, steps=None):
     """All estimates of an episode, (K+1, n, N, B)."""
     state, memory, states = start, None, [start.estimates]

@@ -47,10 +47,10 @@ MISUSES = {
     "Scenario.from_dict({'name': 'x', 'colour': 1})": r"unknown keys \['colour'\]",
     "Scenario.from_dict({'name': 'x'})": r"missing keys \['game', 'topology'\]",
     # Graphs and numbers of players.
-    "parallel_env('energy', topology=np.zeros((5, 5)))": "graph is disconnected.*add links",
+    "parallel_env('energy', topology=np.zeros((5, 5)))": "graph is not connected.*1 says reaches player 0; add links",
     "parallel_env('energy', topology=nx.path_graph(4))": "the game has 5 players, the graphs 4; pass a topology= of 5",
     "parallel_env('energy', T=2)": "unexpected keyword argument 'T'; did you mean 'deadline'",
-    "parallel_env('energy', topology=nx.DiGraph([(0, 1)]))": "the adjacency matrix must be symmetric",
+    "parallel_env('energy', topology=nx.path_graph(5, nx.DiGraph))": "not strongly connected.*player 1 says reaches pl",
     "parallel_env('energy', topology=[['a']])": "an adjacency matrix is an .N, N. table of numbers: could not",
     "parallel_env('energy', slots=1)": "a player has 2 neighbours and slots is 1; raise it to 2",
     "parallel_env('energy', players=7)": r"game of fixed size: .* game=FactorySpec.of\('game:random-energy', players=7",

@@ -105,6 +105,13 @@ def energy_scenario(curvature, target, topology, **fields):
     return Scenario(name="energy-variant", game=game, topology=topology, **{"start": "random", **fields})
 
 
+DIRECTED = CATALOGUE["energy"].replace(
+    name="directed",
+    topology=[[0, 0, 0, 0, 2.0], [0.5, 0, 1, 0, 0], [0, 1, 0, 0, 0], [0, 0, 1.5, 0, 0], [0, 0, 0, 1, 0]],
+)
+"""The energy game on a directed ring of several weights, with one link that carries messages in both directions."""
+
+
 def fixed_part(adjacency):
     """The part that builds the fixed topology of an adjacency matrix."""
     return FactorySpec.of("ptne_env.world.graphs:Graph", adjacency=adjacency)

@@ -157,8 +157,13 @@ class Renderer:
         moving += distance.plot(times, np.maximum(far, distances.FLOOR), color=INK, **last)
         x, y = self._places
         mode = int(dynamics.active_mode(self.world, self._states[-1])[0])
-        for i, j in self.world.topology.graphs[mode].edges:
+        links = self.world.topology.graphs[mode]
+        for i, j in links.edges:
             moving += graph.plot(x[[i, j]], y[[i, j]], color=INK, linewidth=2.5 * self._thinness, zorder=1)
+        for i, j in np.argwhere(links.adjacency * (links.adjacency.T == 0)):  # i hears j, and j does not hear i
+            tip = {"arrowstyle": "-|>", "color": INK, "linewidth": 0, "mutation_scale": 18 * self._thinness}
+            ends: Any = (x[i] + 3 * x[j]) / 4, (y[i] + 3 * y[j]) / 4
+            moving.append(graph.annotate("", (x[[i, j]].mean(), y[[i, j]].mean()), ends, arrowprops=tip))
         size = min(16.0, 220 / players)  # of a node, in points, so that neighbours on the circle do not touch
         ring: dict[str, Any] = {"edgecolor": [_colour(player) for player in range(players)], "zorder": 2}
         moving += [graph.scatter(x, y, s=size**2, color="white", linewidth=min(1.8, size / 4), **ring)]

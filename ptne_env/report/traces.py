@@ -55,7 +55,7 @@ class Scene:
         owners: the player that owns each component, shape (n,).
         equilibrium: x* in the first episode, shape (n,).
         links: the pairs of players that are ever neighbours, shape (L, 2).
-        live: whether each link is up in the first episode, shape (L, F).
+        live: whether each link is up in the first episode, in one direction at least, shape (L, F).
         episodes: the number of episodes behind the errors.
         traces: the traces by name of the policy.
     """
@@ -79,7 +79,8 @@ def make_scene(track: Track, episodes: EpisodeSet, policies: Iterable[PolicySpec
     links = np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2)
     randomness = start.randomness
     modes = world.modes if randomness is None or randomness.modes is None else randomness.modes[:, 0]
-    live = np.array([world.topology.graphs[int(mode)].adjacency[links[:, 0], links[:, 1]] > 0 for mode in modes])
+    both_ways = [graph.adjacency + graph.adjacency.T for graph in world.topology.graphs]
+    live = np.array([both_ways[int(mode)][links[:, 0], links[:, 1]] > 0 for mode in modes])
     return Scene(
         t=clock.t,
         s=clock.s,

@@ -58,19 +58,21 @@ def check_assumptions(world: World, constants: MonotonicityConstants) -> tuple[A
     connected = "the fixed graph is connected" if topology.is_fixed else "every graph is connected at every instant"
     # A random topology stays longer than any given time in one disconnected mode, now and then.
     is_uniform = not topology.is_random or smallest > 0
-    union = "λ2 of the union graph" + " (over all time, almost surely, within no fixed ν)" * (not is_uniform)
+    directed = "; but links are directed" * any(graph.is_directed for graph in topology.graphs)
+    union = "λ2 of the union graph" + " (over all time, almost surely, within no fixed ν)" * (not is_uniform) + directed
+    modes = f"smallest λ2 over the modes{directed}"
     curvature, meaning, convex = _judge_convexity(world.game)
     kind = "exact" if constants.exact else f"from {SAMPLES} samples within {constants.radius:g} of x*"
     monotone: Verdict = "fails" if constants.epsilon <= 0 else "holds" if constants.exact else "sampled only"
     return (
         _check_lemma(world),
-        AssumptionCheck("Assumption 1", connected, smallest, "smallest λ2 over the modes", _holds(smallest > 0)),
+        AssumptionCheck("Assumption 1", connected, smallest, modes, _holds(smallest > 0 and not directed)),
         AssumptionCheck(
             "Assumption 2",
             "the graphs are jointly connected within some ν",
             joint,
             union,
-            _holds(joint > 0 and is_uniform),
+            _holds(joint > 0 and is_uniform and not directed),
         ),
         AssumptionCheck(
             "Assumption 3", "each J_i is strictly convex and radially unbounded in x_i", curvature, meaning, convex

@@ -248,6 +248,11 @@ def _scenario_notes(world: World, *, covers_range: bool = False) -> Iterator[str
     scenario, topology = world.scenario, world.topology
     if world.has_random_game:
         yield "the scenario draws games: the numbers are those of the typical game"
+    if any(graph.is_directed for graph in topology.graphs):
+        yield (
+            "links are directed: the paper's theorems do not cover this scenario, as they are for undirected graphs "
+            "(Assumption 1); a condition that holds has a proof of its own (docs/mathematics.md)"
+        )
     if not topology.is_fixed and topology.clock == "physical" and not topology.is_random:
         switches = topology.switches(0.0, scenario.deadline).size
         frozen = topology.graphs[last_modes(topology, scenario.deadline)[0]]

@@ -78,10 +78,14 @@ def _fixed_graph(constants: ProblemConstants) -> Condition:
     return Condition.below("the graph is fixed: number of graphs < 2", len(constants.graphs), 2)
 
 
+def _undirected(constants: ProblemConstants) -> Condition:
+    return Condition.below("links are undirected: number of directed graphs < 1", constants.directed_graphs, 1)
+
+
 def _all_links_recur(constants: ProblemConstants) -> Condition:
     name = "all links recur as s → ∞: smallest number of recurring links > all links − 1"
-    recurring = min(len(graph.edges) for graph in constants.recurring)
-    return Condition.above(name, recurring, len(union(constants.graphs).edges) - 1)
+    recurring = min(int(np.count_nonzero(graph.adjacency)) for graph in constants.recurring)
+    return Condition.above(name, recurring, int(np.count_nonzero(union(constants.graphs).adjacency)) - 1)
 
 
 def _gain_condition(kappa: float, constants: ProblemConstants) -> Condition:
@@ -95,9 +99,11 @@ def _gain_condition(kappa: float, constants: ProblemConstants) -> Condition:
 def static_condition(law: Static, constants: ProblemConstants) -> Condition:
     """κ > (ι²/ε + ι)/λ2, eq. (15) of the paper; with scaled costs, κ divided by the gradient gain.
 
-    It is the condition of Corollary 1 too, whose convergence is asymptotic, not by the deadline.
+    It is the condition of Corollary 1 too, whose convergence is asymptotic, not by the deadline. On one directed graph
+    it is ours, with the λ2 of :attr:`~ptne_env.world.graphs.Graph.algebraic_connectivity` (docs/mathematics.md).
     """
-    return _gain_condition(law.kappa / law.gradient_gain, constants)
+    gain = _gain_condition(law.kappa / law.gradient_gain, constants)
+    return decisive(_fixed_graph(constants), gain) if constants.directed_graphs else gain
 
 
 def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
@@ -106,15 +112,15 @@ def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
     Joint connectivity, as in Theorem 4, is not enough (docs/errata.md, 2).
     """
     connected = Condition.above("every mode is connected: λ2 > 0", constants.connectivity, 0.0)
-    return decisive(_adapting_gains(law), connected, _strongly_monotone(constants))
+    return decisive(_undirected(constants), _adapting_gains(law), connected, _strongly_monotone(constants))
 
 
 def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
     """κ/δ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, with λ the smallest eigenvalue of the grounded Laplacians.
 
-    The paper proves that a large enough κ/δ exists (there κ = 1). This one is large enough, for with time in units of
-    1/δ, d/dτ ½(‖x − x*‖² + ‖y‖²), y being the estimates minus the strategies that they estimate, is at most
-    −ε a² + (ι + √(N−1) ι_F) a b − (κ λ/δ − √(N−1) ι) b² with a = ‖x − x*‖ and b = ‖y‖.
+    λ is negative on some directed graphs. The paper proves that a large enough κ/δ exists (there κ = 1). This one is
+    large enough, for with time in units of 1/δ, d/dτ ½(‖x − x*‖² + ‖y‖²), y being the estimates minus the strategies
+    that they estimate, is at most −ε a² + (ι + √(N−1) ι_F) a b − (κ λ/δ − √(N−1) ι) b² with a = ‖x − x*‖ and b = ‖y‖.
     """
     grounded, bound = _grounded_connectivity(constants), np.inf
     if constants.epsilon > 0 and grounded > 0:
@@ -126,7 +132,7 @@ def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
 
 
 def _grounded_connectivity(constants: ProblemConstants) -> float:
-    """Return the smallest eigenvalue of H_j = L without row and column j, plus diag(a_ij), over players j and modes."""
+    """Return the smallest eigenvalue of the symmetric parts of H_j = L without row and column j, plus diag(a_ij)."""
     if constants.connectivity == 0:
         return 0.0
     smallest = np.inf
@@ -134,13 +140,14 @@ def _grounded_connectivity(constants: ProblemConstants) -> float:
         for leader in range(len(laplacian)):
             others = np.arange(len(laplacian)) != leader
             matrix = laplacian[np.ix_(others, others)] - np.diag(laplacian[others, leader])
-            smallest = min(smallest, float(np.linalg.eigvalsh(matrix)[0]))
+            smallest = min(smallest, float(np.linalg.eigvalsh((matrix + matrix.T) / 2)[0]))
     return smallest
 
 
 def adaptive_grounded_condition(law: AdaptiveGrounded, constants: ProblemConstants) -> Condition:
-    """γ > 0, ε > 0 and a fixed graph, as H, the grounded Laplacian, is in V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
-    return decisive(_adapting_gains(law), _fixed_graph(constants), _strongly_monotone(constants))
+    """γ > 0, ε > 0, a fixed undirected graph, as H, the grounded Laplacian, is in V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
+    is_fixed = decisive(_undirected(constants), _fixed_graph(constants))
+    return decisive(_adapting_gains(law), is_fixed, _strongly_monotone(constants))
 
 
 def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConstants) -> Condition:
@@ -148,10 +155,10 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
 
     M_α = [[1 − 2αε/N + α²ι_F²/N, ασ(ι + ι_F + αιι_F)/√N], [·, σ²(1 + αι)²]] bounds the growth of
     (‖consensus error‖, ‖disagreement‖)², with σ the largest ‖I − h L − 11ᵀ/N‖ over the modes, the factor by which
-    mixing shrinks disagreement; it is 1 as soon as a mode is disconnected.
+    mixing shrinks disagreement; it is 1 as soon as a mode is disconnected. W keeps the mean on undirected graphs.
     """
-    if constants.epsilon <= 0:
-        return _strongly_monotone(constants)
+    if constants.epsilon <= 0 or constants.directed_graphs:
+        return decisive(_undirected(constants), _strongly_monotone(constants))
     alpha, players = law.step, constants.num_players
     iota_strategies, iota = constants.iota_strategies, constants.iota_estimates
     mixed = [np.eye(players) - law.mixing * graph.laplacian - 1 / players for graph in constants.graphs]
@@ -176,13 +183,14 @@ def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Conditi
 
 
 def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -> Condition:
-    """h/α > (ι²/ε + ι)/λ2 on a fixed graph, and h Σ_j a_ij < 1, once the rows of dF are identified.
+    """h/α > (ι²/ε + ι)/λ2 on a fixed undirected graph, and h Σ_j a_ij < 1, once the rows of dF are identified.
 
     The law is the proximal-point method with the preconditioner I + W for the inclusion 0 ∈ α Rᵀ**F**(𝐱) + (I − W) 𝐱,
     W = I − h L. That operator is α times the one of Theorem 1 with κ = h/α, so the gain condition makes it restricted
     strongly monotone, and 𝐱 converges linearly where I + W is positive definite.
     """
     return decisive(
+        _undirected(constants),
         _fixed_graph(constants),
         Condition.below("W is stochastic: h max Σ_j a_ij < 1", law.mixing * constants.largest_degree, 1.0),
         _gain_condition(law.mixing / law.step, constants),

@@ -121,6 +121,11 @@ class ProblemConstants(MonotonicityConstants):
         return min(graph.algebraic_connectivity for graph in self.graphs)
 
     @property
+    def directed_graphs(self) -> int:
+        """The number of modes that are directed."""
+        return sum(graph.is_directed for graph in self.graphs)
+
+    @property
     def largest_degree(self) -> float:
         """The largest Σ_j a_ij over players and modes."""
         return max(float(graph.laplacian.diagonal().max()) for graph in self.graphs)

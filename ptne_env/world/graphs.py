@@ -15,10 +15,11 @@ from ptne_env.shared.parts import Part
 
 
 class Graph(Part):
-    """An undirected weighted graph on players 0..N−1.
+    """A weighted graph on players 0..N−1, undirected or directed.
 
     Attributes:
-        adjacency: a_ij, read-only, of shape (N, N), symmetric up to rounding, a_ij ≥ 0, zero diagonal.
+        adjacency: a_ij ≥ 0, the weight with which player i hears player j, and 0 where it does not; read-only, of shape
+            (N, N), with zero diagonal. The graph is undirected where the matrix is symmetric up to rounding.
 
     Raises:
         ValueError: when the matrix is not of this form.
@@ -37,14 +38,18 @@ class Graph(Part):
             raise ValueError("an adjacency matrix has finite weights a_ij ≥ 0")
         if np.any(np.diagonal(matrix)):
             raise ValueError("the graphs of the paper have no self-loops: the adjacency diagonal must be 0")
-        if not np.allclose(matrix, matrix.T, rtol=1e-12, atol=0):
-            raise ValueError("the graphs of the paper are undirected: the adjacency matrix must be symmetric")
-        vars(self)["adjacency"] = freeze(np.maximum(matrix, matrix.T))
+        is_undirected = np.allclose(matrix, matrix.T, rtol=1e-12, atol=0)
+        vars(self)["adjacency"] = freeze(np.maximum(matrix, matrix.T)) if is_undirected else matrix
 
     @property
     def num_players(self) -> int:
         """N."""
         return self.adjacency.shape[0]
+
+    @cached_property
+    def is_directed(self) -> bool:
+        """Whether some link carries messages in one direction only, or with another weight in the other one."""
+        return not np.array_equal(self.adjacency, self.adjacency.T)
 
     @cached_property
     def laplacian(self) -> FloatArray:
@@ -53,27 +58,38 @@ class Graph(Part):
 
     @cached_property
     def algebraic_connectivity(self) -> float:
-        """λ2(L), positive exactly when the graph is connected; rounding is cut to 0."""
-        second = float(np.linalg.eigvalsh(self.laplacian)[1])
-        return second if second > 1e-10 * float(self.laplacian.max()) else 0.0
+        """λ2(L) of an undirected graph, positive exactly when it is connected.
+
+        In general it is the minimum of eᵀ P L e/‖e‖² over all e with pᵀ e = 0, where P = diag(p), and p > 0 is the left
+        eigenvector, pᵀ L = 0, whose largest entry is 1 (docs/mathematics.md); 0 unless the graph is strongly connected.
+        """
+        if not self.is_connected:
+            return 0.0
+        left = np.abs(np.linalg.svd(self.laplacian.T)[2][-1])
+        left /= left.max()
+        form, across = left[:, None] * self.laplacian, np.linalg.svd(left[None])[2][1:]
+        return max(0.0, float(np.linalg.eigvalsh(across @ (form + form.T) @ across.T / 2)[0]))
 
     @cached_property
     def is_connected(self) -> bool:
-        """Assumption 1 of the paper."""
-        return int(connected_components(self.adjacency > 0, directed=False, return_labels=False)) == 1
+        """Whether every player hears of every other one: Assumption 1 of the paper, or strong connectivity."""
+        return int(connected_components(self.adjacency > 0, connection="strong", return_labels=False)) == 1
 
     @property
     def largest_degree(self) -> int:
-        """The largest number of neighbours of a player."""
+        """The largest number of players that a player hears."""
         return int((self.adjacency > 0).sum(axis=1).max())
 
     @property
     def edges(self) -> list[tuple[int, int]]:
-        """Pairs (i, j) with i < j and a_ij > 0."""
-        return [(int(i), int(j)) for i, j in np.argwhere(np.triu(self.adjacency) > 0)]
+        """Pairs (i, j) with i < j of which one player hears the other."""
+        return [(int(i), int(j)) for i, j in np.argwhere(np.triu(np.maximum(self.adjacency, self.adjacency.T)))]
 
     def __repr__(self) -> str:
-        return f"Graph(players={self.num_players}, edges={self.edges})"
+        if not self.is_directed:
+            return f"Graph(players={self.num_players}, edges={self.edges})"
+        heard = ", ".join(f"{i} hears {np.flatnonzero(row).tolist()}" for i, row in enumerate(self.adjacency))
+        return f"Graph(players={self.num_players}, {heard})"
 
 
 def cycle(players: int) -> Graph:
@@ -117,14 +133,15 @@ def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:
 
 
 def from_networkx(graph: nx.Graph[int]) -> Graph:
-    """Return the graph of networkx as a :class:`Graph`; see :func:`adjacency`."""
+    """Return the graph of networkx, undirected or directed, as a :class:`Graph`; see :func:`adjacency`."""
     return Graph(adjacency(graph))
 
 
 def adjacency(graph: nx.Graph[Any]) -> FloatArray:
     """Return the weights a_ij of a graph of networkx, (N, N); the attribute ``weight`` is 1 where it is missing.
 
-    Players are the nodes in the order of their labels, which are numbers, or texts of numbers such as "3".
+    Players are the nodes in the order of their labels, which are numbers, or texts of numbers such as "3". An edge
+    u → v of a directed graph carries messages from u to v, so it is a_vu.
 
     Raises:
         ValueError: when a label is no number, or two are the same number.
@@ -139,7 +156,7 @@ def adjacency(graph: nx.Graph[Any]) -> FloatArray:
             f"{list(graph)[:5]!r}; networkx.convert_node_labels_to_integers(graph) numbers them in the order in which "
             "they were added"
         )
-    return nx.to_numpy_array(graph, nodelist=[nodes[number] for number in sorted(nodes)])
+    return nx.to_numpy_array(graph, nodelist=[nodes[number] for number in sorted(nodes)]).T
 
 
 def union(graphs: Iterable[Graph]) -> Graph:

@@ -68,8 +68,8 @@ class Scenario:
         game: builds a :class:`~ptne_env.games.Game`, or a :class:`~ptne_env.games.GameFamily` of which every episode
             draws one game.
         topology: builds a :class:`~ptne_env.world.switching.SwitchingTopology` on the game's players, or a
-            :class:`~ptne_env.world.graphs.Graph` that never changes; also its matrix a_ij, (N, N), or a graph of
-            networkx, whose players are its nodes in the order of their numbers, and whose attribute ``weight`` is a_ij.
+            :class:`~ptne_env.world.graphs.Graph` that never changes; also its matrix a_ij, (N, N), i being who hears
+            j, or a graph of networkx, as :func:`~ptne_env.world.graphs.adjacency` reads it.
         start: builds a :class:`~ptne_env.world.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20));
             also an array (N, n), row i being x^i(0).
         transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``.

@@ -261,11 +261,11 @@ def random_edges(
     """
     require_positive_probability("probability", probability)
     count = require_count("modes", modes, 2)
-    i, j = np.nonzero(np.triu(graph.adjacency))
+    i, j = np.nonzero(graph.adjacency if graph.is_directed else np.triu(graph.adjacency))
     generator = np.random.default_rng(require_count("seed", seed, 0))
     pool = np.zeros((count, *graph.adjacency.shape))
     pool[:, i, j] = graph.adjacency[i, j] * (generator.random((count, i.size)) < probability)
-    return RandomTopology([Graph(upper + upper.T) for upper in pool], dwells, clock)
+    return RandomTopology([Graph(up if graph.is_directed else up + up.T) for up in pool], dwells, clock)
 
 
 def random_graphs(players: int, probability: float, modes: int = 100, seed: int = 0) -> SwitchingTopology:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.games import Game, GameFamily, require_strong_monotonicity
 from ptne_env.shared.arrays import FloatArray, IntArray, freeze, require_count, require_positive
@@ -68,8 +69,8 @@ class World:
         topology, start, clock, channel: the other parts.
         disturbance: of the velocities; ``None`` where there is none.
         message_range: R, to which the channel clips messages first; infinite where links have no range.
-        neighbours: player in each slot, shape (D, N); D is the largest degree in the union graph unless the scenario
-            gives it, and a padded slot holds the player itself with weight 0.
+        neighbours: player that is heard in each slot, shape (D, N); D is the largest degree in the union graph unless
+            the scenario gives it, and a padded slot holds the player itself with weight 0.
         mode_weights: a_ij per slot and mode, shape (D, N, modes).
         modes: active mode at each instant, shape (K+H+1,); zeros where every episode draws its own.
         time_since_switch: time since the last switch over the mean dwell, clipped to [0, 1], 0 for a fixed graph; shape
@@ -191,10 +192,13 @@ class World:
                 f"pass a topology= of {self.game.num_players} players, or a game= of {topology.num_players}"
             )
         if not topology.is_jointly_connected:
-            kind = "graph is disconnected" if topology.is_fixed else "graphs are not jointly connected over a period"
+            graph = min((topology.union, *topology.graphs), key=lambda graph: graph.is_connected)
+            connected = "strongly connected" if graph.is_directed else "connected"
+            kind = f"graph is not {connected}" if topology.is_fixed else f"graphs are not jointly {connected} over time"
+            listener, speaker = np.argwhere(np.isinf(shortest_path(graph.adjacency, unweighted=True)))[0]
             raise ValueError(
-                f"scenario {name!r}: the {kind} (Assumptions 1 and 2), so no law can reach the equilibrium; add links "
-                f"between the components of {topology.union!r}"
+                f"scenario {name!r}: the {kind} (Assumptions 1 and 2), so no law can reach the equilibrium: nothing "
+                f"that player {speaker} says reaches player {listener}; add links to {graph!r}"
             )
         if topology.is_fixed:
             return

@@ -1,8 +1,10 @@
 import builtins
+import itertools
 import signal
 import warnings
 from functools import partial
 
+import networkx as nx
 import numpy as np
 import pytest
 from extras import need_matplotlib, need_sb3
@@ -13,6 +15,7 @@ need_matplotlib()
 from matplotlib import pyplot as plt
 from matplotlib.transforms import Affine2DBase
 
+from ptne_env import CATALOGUE
 from ptne_env.envs.parallel import aec_env
 
 
@@ -74,6 +77,13 @@ def test_picture_shows_the_live_links():
     height, width, _ = first.shape
     graph = slice(height // 2, None), slice(2 * width // 3, None)
     assert not np.array_equal(first[graph], env.render()[graph])
+
+
+def test_picture_shows_in_which_direction_a_link_carries_messages():
+    one_way = nx.cycle_graph(5, nx.DiGraph)
+    graphs = one_way, one_way.reverse(), nx.cycle_graph(5)
+    pictures = [picture(CATALOGUE["energy"].replace(topology=graph)) for graph in graphs]
+    assert not any(np.array_equal(*pair) for pair in itertools.combinations(pictures, 2))
 
 
 def test_reset_clears_the_picture():

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 import pytest
 from fuzz import KINDS, a_scenario, fitting, no_warnings
-from worlds import DEGREE, FAULTY, OWN_COST, every_field, with_field
+from worlds import DEGREE, DIRECTED, FAULTY, OWN_COST, channel_part, every_field, with_field
 
 import ptne_env.jax
 from ptne_env import CATALOGUE
@@ -29,6 +29,7 @@ SCENARIOS = {
     **CATALOGUE,
     **{f"ptne-v1/{track.name}": track.scenario for track in get_suite("ptne-v1").tracks},
     "faulty": FAULTY,
+    "directed": DIRECTED.replace(channel=channel_part("Loss", probability=0.2)),
 }
 STEPS = 50
 OPTIMISED = {"xla_backend_optimization_level": 3, "xla_cpu_use_fusion_emitters": True}

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from affine_games import SOAK, affine_scenario, random_affine, run
+from affine_games import SOAK, affine_scenario, random_affine, random_digraph, run
 from worlds import begin, channel_part, fixed_part, world_and_encoder
 
 from ptne_env import FactorySpec, evaluate, get_scenario, laws
@@ -82,9 +82,12 @@ def episode(law, scenario, seeds=(0,), **arguments):
     return world, run(world, encoder, law(encoder.layout, **arguments), begin(world, seeds))
 
 
+@pytest.mark.parametrize("is_directed", [False, True])
 @pytest.mark.parametrize("seed", range(100 if SOAK else 3))
-def test_a_copy_is_what_the_owner_had_as_many_steps_ago_as_there_are_links(seed):
+def test_a_copy_is_what_the_owner_had_as_many_steps_ago_as_there_are_links(seed, is_directed):
     matrix, offset, adjacency = random_affine(np.random.default_rng(seed), 3 + seed % 4)
+    if is_directed:
+        adjacency = random_digraph(np.random.default_rng(seed), len(matrix))
     hops, step = hops_of(adjacency), 0.5 / np.diag(matrix).max()
     scenario = affine_scenario(matrix, offset, fixed_part(adjacency), input_limit=1e5, steps=60)
     world, states = episode(laws.RoutedUnknown, scenario, seeds=(seed, seed + 1), step=step)

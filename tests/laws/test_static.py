@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
-from worlds import BLOCKS, loop_matrix, make_env, play, world_and_encoder
+from worlds import BLOCKS, DIRECTED, loop_matrix, make_env, play, world_and_encoder
 
 from ptne_env import laws
 
 
-@pytest.mark.parametrize("scenario", ["energy-switching", BLOCKS], ids=["energy-switching", "blocks"])
+@pytest.mark.parametrize("scenario", ["energy-switching", BLOCKS, DIRECTED], ids=["switching", "blocks", "directed"])
 def test_environment_is_the_product_of_the_step_matrices_through_float32(scenario):
     env = make_env(scenario, hold_steps=20)
     states, _ = play(env, laws.Static(env.layout, kappa=1.0), seed=5)

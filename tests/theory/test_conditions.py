@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from affine_games import SOAK, affine_scenario, loop_start, random_affine, run
+from affine_games import SOAK, affine_scenario, loop_start, random_affine, random_digraph, run
 from sample_laws import condition_on
-from worlds import fixed_part
+from scipy import linalg
+from worlds import DIRECTED, fixed_part, loop_matrix
 
 from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
 from ptne_env.perception.encoder import Encoder
@@ -15,8 +16,11 @@ from ptne_env.world.world import World
 RANDOM = range(200 if SOAK else 6)
 
 
-def random_world(seed):
-    matrix, offset, adjacency = random_affine(np.random.default_rng(seed), 3 + seed % 3, coupling=3.0)
+def random_world(seed, *, is_directed=False):
+    generator = np.random.default_rng(seed)
+    matrix, offset, adjacency = random_affine(generator, 3 + seed % 3, coupling=3.0)
+    if is_directed:
+        adjacency = random_digraph(generator, len(matrix))
     scenario = affine_scenario(matrix, offset, fixed_part(adjacency))
     return scenario, World(scenario).game, adjacency
 
@@ -145,6 +149,48 @@ def test_the_coupling_radius_promises_that_late_best_responses_settle():
     assert theory.coupling_radius(matrix, np.arange(6)) == pytest.approx(by_component)
 
 
+@pytest.mark.parametrize("seed", RANDOM)
+def test_gain_of_the_static_law_makes_a_lyapunov_function_decrease_on_directed_graphs(seed):
+    """V = ½ Σ_i ‖x̄_i − x*_i‖²/q_i + ½ Σ_i p_i ‖x^i − x̄‖² with pᵀ L = 0, max p = 1, q = p/Σ p and x̄ = Σ_i q_i x^i."""
+    scenario, game, adjacency = random_world(seed, is_directed=True)
+    kappa = 1.0001 * condition_on(scenario, laws.Static).bound
+    laplacian, n = np.diag(adjacency.sum(axis=1)) - adjacency, game.dimension
+    left = np.abs(linalg.null_space(laplacian.T)[:, 0])
+    left, share = left / left.max(), left / left.sum()
+    mean = np.kron(share, np.eye(n))
+    rest = np.eye(n * n) - np.kron(np.ones((n, 1)), mean)
+    lyapunov = mean.T @ np.diag(1 / share) @ mean + rest.T @ np.diag(np.repeat(left, n)) @ rest
+    assert positive_definite(lyapunov)
+    assert positive_definite(lyapunov @ loop_matrix(game, adjacency, kappa))
+
+
+@pytest.mark.parametrize("law", theory.CONDITIONS)
+def test_on_directed_graphs_only_laws_with_a_proof_of_their_own_have_a_condition_that_holds(law):
+    """The theorems of the others need symmetric or doubly stochastic weights."""
+    game, generous = FactorySpec.of("game:quadratic", matrix=np.eye(5) + 0.01, offset=np.ones(5)), {"kappa": 1e3}
+    scenario = DIRECTED.replace(game=game, topology=5 * np.roll(np.eye(5), 1, axis=0))
+    arguments = generous if law in (laws.Static, laws.CorollaryOne, laws.Grounded) else {}
+    proven = (laws.Static, laws.CorollaryOne, laws.Grounded, laws.RoutedUnknown, laws.Relay)
+    assert condition_on(scenario, law, **arguments).holds == (law in proven)
+    certificate = theory.certify(scenario, law)
+    assert [check.verdict for check in certificate.assumptions[1:3]] == ["fails"] * 2
+    assert any("links are directed: the paper's theorems do not cover" in note for note in certificate.notes)
+
+
+def test_the_gain_of_the_static_law_is_proven_on_one_directed_graph_and_not_on_several():
+    graphs = [fixed_part(np.roll(np.eye(5), shift, axis=0).tolist()) for shift in (1, 2)]
+    topology = FactorySpec.of("topology:periodic", graphs=graphs, dwells=[0.25] * 2, clock="transformed")
+    assert condition_on(DIRECTED, laws.Static, kappa=1e3).holds
+    assert not condition_on(get_scenario("energy", topology=topology), laws.Static, kappa=1e3).holds
+
+
+def test_links_that_recur_in_one_direction_only_are_missing():
+    modes = [DIRECTED.topology, fixed_part(np.roll(np.eye(5), 1, axis=0).tolist())]
+    for graphs, holds in ((modes, False), (modes[::-1], True)):
+        topology = FactorySpec.of("topology:periodic", graphs=graphs, dwells=[0.7, 0.7], clock="physical")
+        assert condition_on(get_scenario("energy", topology=topology), laws.Relay).holds == holds
+
+
 def grounded_matrix(game, adjacency, kappa):
     """The loop of Ye & Hu's law: own components follow own gradients, the others leader–follower consensus."""
     n = game.dimension
@@ -161,10 +207,14 @@ def grounded_matrix(game, adjacency, kappa):
     return matrix
 
 
+@pytest.mark.parametrize("is_directed", [False, True])
 @pytest.mark.parametrize("seed", RANDOM)
-def test_gain_of_ye_and_hu_makes_their_lyapunov_function_decrease(seed):
+def test_gain_of_ye_and_hu_makes_their_lyapunov_function_decrease(seed, is_directed):
     """V = ½‖x − x*‖² + ½‖y‖² in the coordinates x and y^i_j = x^i_j − x_j, as in the condition of :class:`Grounded`."""
-    scenario, game, adjacency = random_world(seed)
+    scenario, game, adjacency = random_world(seed, is_directed=is_directed)
+    if np.isinf(condition_on(scenario, laws.Grounded).bound):
+        assert is_directed
+        return
     kappa = 1.0001 * condition_on(scenario, laws.Grounded).bound
     slow = {"kappa": kappa / 10, "gradient_gain": 0.1}  # the same loop in another unit of time
     assert condition_on(scenario, laws.Grounded, **slow).value == pytest.approx(kappa)

@@ -7,14 +7,17 @@ from hypothesis import strategies as st
 from ptne_env.world import graphs
 from ptne_env.world.graphs import Graph
 
+WEIGHTS = st.sampled_from([0.0, 0.0, 0.5, 1.0, 3.0])
+
 
 @st.composite
 def adjacencies(draw, players=None):
-    count = players or draw(st.integers(2, 7))
+    count, is_directed = players or draw(st.integers(2, 7)), draw(st.booleans())
     matrix = np.zeros((count, count))
     for i in range(count):
         for j in range(i):
-            matrix[i, j] = matrix[j, i] = draw(st.sampled_from([0.0, 0.0, 0.5, 1.0, 3.0]))
+            matrix[i, j] = matrix[j, i] = draw(WEIGHTS)
+            matrix[j, i] = draw(WEIGHTS) if is_directed else matrix[i, j]
     return matrix
 
 
@@ -25,6 +28,8 @@ def test_named_graphs_have_their_textbook_connectivity(players):
     assert graphs.path(players).algebraic_connectivity == pytest.approx(2 - 2 * np.cos(circle / 2))
     assert graphs.star(players).algebraic_connectivity == pytest.approx(1.0)
     assert graphs.complete(players).algebraic_connectivity == pytest.approx(players)
+    directed = graphs.from_networkx(nx.cycle_graph(players, nx.DiGraph))
+    assert directed.algebraic_connectivity == pytest.approx(1 - np.cos(circle))
 
 
 @given(adjacencies())
@@ -32,22 +37,20 @@ def test_laplacian_is_degree_minus_adjacency_and_sums_to_zero(matrix):
     graph = Graph(matrix)
     for i in range(graph.num_players):
         assert graph.laplacian[i, i] == matrix[i].sum()
-        for j in range(i):
+        for j in {*range(graph.num_players)} - {i}:
             assert graph.laplacian[i, j] == -matrix[i, j]
     assert graph.laplacian.sum(axis=1) == pytest.approx(np.zeros(graph.num_players), abs=1e-12)
 
 
 @given(adjacencies())
-def test_connected_exactly_when_every_player_is_reached(matrix):
-    reached, frontier = {0}, [0]
-    while frontier:
-        for j in np.flatnonzero(matrix[frontier.pop()]).tolist():
-            if j not in reached:
-                reached.add(j)
-                frontier.append(j)
+def test_connected_exactly_when_every_player_hears_of_every_other(matrix):
+    hears = (matrix > 0) | np.eye(len(matrix), dtype=bool)
+    for middle in range(len(matrix)):  # the algorithm of Warshall
+        hears |= hears[:, [middle]] & hears[middle]
     graph = Graph(matrix)
-    assert graph.is_connected == (len(reached) == len(matrix))
-    assert graph.is_connected == (graph.algebraic_connectivity > 1e-9)
+    assert graph.is_directed == (not np.array_equal(matrix, matrix.T))
+    assert graph.is_connected == hears.all()
+    assert graph.is_connected == (graph.algebraic_connectivity > 0)
 
 
 @given(adjacencies(players=4), adjacencies(players=4))
@@ -60,6 +63,15 @@ def test_a_graph_of_networkx_keeps_its_weights_and_numbered_players():
     graph.add_edge(0, 2, weight=2.5)
     ours = graphs.from_networkx(graph)
     assert ours.adjacency.tolist() == [[0, 0, 2.5], [0, 0, 1], [2.5, 1, 0]]
+
+
+def test_an_edge_of_a_directed_graph_of_networkx_carries_messages_to_its_end():
+    graph = nx.DiGraph([(0, 1), (1, 2), (2, 0)])
+    graph.add_edge(0, 2, weight=2.5)
+    ours = graphs.from_networkx(graph)
+    assert ours.adjacency.tolist() == [[0, 0, 1], [1, 0, 0], [2.5, 1, 0]]
+    assert ours.edges == [(0, 1), (0, 2), (1, 2)]
+    assert str(ours) == "Graph(players=3, 0 hears [2], 1 hears [0], 2 hears [0, 1])"
 
 
 @pytest.mark.parametrize("label", [lambda player: player + 1, str, lambda player: float(-9 + player), "0{}".format])
@@ -86,9 +98,9 @@ def test_tolerances_are_relative_to_the_weights(scale):
     rounded = scale * graphs.cycle(5).adjacency
     rounded[0, 1] = np.nextafter(rounded[0, 1], np.inf)
     assert np.array_equal(Graph(rounded).adjacency, np.maximum(rounded, rounded.T))
+    assert not Graph(rounded).is_directed
     rounded[0, 1] *= 1 + 1e-9
-    with pytest.raises(ValueError, match="symmetric"):
-        Graph(rounded)
+    assert Graph(rounded).is_directed
 
 
 def test_a_cycle_of_two_players_is_their_link():
@@ -104,7 +116,6 @@ def test_a_cycle_of_two_players_is_their_link():
         ([[0, np.nan], [np.nan, 0]], "finite weights"),
         ([[0, np.inf], [np.inf, 0]], "finite weights"),
         ([[1, 1], [1, 0]], "self-loops"),
-        ([[0, 1], [2, 0]], "symmetric"),
     ],
 )
 def test_invalid_adjacency_matrices_are_refused(matrix, message):

@@ -11,8 +11,8 @@ from worlds import FROM_THE_PAPER
 
 from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
 from ptne_env.games import EnergyGame, NonQuadraticGame, QuadraticGame
-from ptne_env.world.graphs import complete, cycle
-from ptne_env.world.switching import paper_topology
+from ptne_env.world.graphs import complete, cycle, from_networkx
+from ptne_env.world.switching import SwitchingTopology, paper_topology
 from ptne_env.world.world import World
 
 
@@ -112,8 +112,15 @@ def test_an_affine_game_that_is_not_monotone_is_a_warning():
 
 def test_a_topology_that_is_not_jointly_connected_is_refused():
     apart = FactorySpec.of("topology:periodic", graphs=[edges(5, (0, 1)), edges(5, (2, 3), (3, 4))], dwells=[1, 1])
-    with pytest.raises(ValueError, match="not jointly connected over a period.*add links"):
+    with pytest.raises(ValueError, match="not jointly connected over time.*add links"):
         World(get_scenario("energy", topology=apart))
+
+
+def test_directed_graphs_need_to_be_strongly_connected_together():
+    there, back = (from_networkx(nx.path_graph(order, nx.DiGraph)) for order in (range(5), range(4, -1, -1)))
+    assert World(get_scenario("energy", topology=SwitchingTopology([there, back], [0.1, 0.1]))).slots == 2
+    with pytest.raises(ValueError, match="not jointly strongly connected.*player 1 says reaches player 0; add links"):
+        World(get_scenario("energy", topology=SwitchingTopology([there, there], [0.1, 0.1])))
 
 
 def test_dwell_as_long_as_the_longest_step_is_allowed():

@@ -157,6 +157,10 @@ def test_links_are_up_with_the_given_probability():
     assert again.graphs == topology.graphs != other.graphs
     weighted = switching.random_edges(Graph([[0, 2.5], [2.5, 0]]), 0.5, 1.0, modes=20)
     assert {graph.adjacency[0, 1] for graph in weighted.graphs} == {0.0, 2.5}
+    directed = switching.random_edges(Graph([[0, 2, 0], [1, 0, 1], [1, 0, 0]]), 0.5, 1.0, modes=200)
+    drawn = {tuple(graph.adjacency[[0, 1, 1, 2], [1, 0, 2, 0]]) for graph in directed.graphs}
+    assert drawn == {(a, b, c, d) for a in (0, 2) for b in (0, 1) for c in (0, 1) for d in (0, 1)}
+    assert not any(graph.adjacency[[0, 2], [2, 1]].any() for graph in directed.graphs)
 
 
 def test_every_episode_draws_its_graph_and_keeps_it():
