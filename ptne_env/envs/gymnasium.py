@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import gymnasium
@@ -67,6 +68,11 @@ def _join_boxes(space: spaces.Box, players: int) -> Any:
     return spaces.Box(np.tile(space.low, players), np.tile(space.high, players), dtype=np.float32)
 
 
+def _forwarded(path: str) -> Any:
+    """Return a property that is the attribute of the wrapped environment."""
+    return property(attrgetter(path), doc=f"The same as ``{path}``.")
+
+
 class _HasReadableSpec:
     """An environment whose spec holds data in place of parts, scenarios and interfaces, so that JSON has it all."""
 
@@ -97,7 +103,8 @@ class JointEnv(_HasReadableSpec, gymnasium.Env[Float32Array, Float32Array]):
     Episodes do not draw from ``np_random``, because each source of randomness has its own generator.
 
     Attributes:
-        parallel: the wrapped environment.
+        parallel: the wrapped environment, whose true state is this one's: ``estimates``, ``strategies``,
+            ``nash_equilibrium``, ``time``, ``state``, ``get_state`` and ``set_state``.
         layout: the layout of each player's part of observations and actions.
     """
 
@@ -105,6 +112,11 @@ class JointEnv(_HasReadableSpec, gymnasium.Env[Float32Array, Float32Array]):
         "render_modes": ["human", "rgb_array"],
         "render_fps": 30,
     }
+
+    estimates, strategies, nash_equilibrium, time, state, get_state, set_state = (
+        _forwarded(f"parallel.{name}")
+        for name in ("estimates", "strategies", "nash_equilibrium", "time", "state", "get_state", "set_state")
+    )
 
     def __init__(
         self, scenario: str | Scenario = "energy", *, render_mode: str | None = None, **arguments: Any
@@ -167,9 +179,15 @@ class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, 
         **arguments: those of :class:`~ptne_env.envs.vector.VectorParallelEnv`, among them fields of the scenario.
 
     Attributes:
-        vector: the wrapped environments.
+        vector: the wrapped environments, whose true state is this one's: ``estimates``, ``strategies``,
+            ``nash_equilibria``, ``time``, ``get_state`` and ``set_state``.
         layout: the layout of each player's part of observations and actions.
     """
+
+    estimates, strategies, nash_equilibria, time, get_state, set_state = (
+        _forwarded(f"vector.{name}")
+        for name in ("estimates", "strategies", "nash_equilibria", "time", "get_state", "set_state")
+    )
 
     def __init__(
         self,
@@ -197,7 +215,6 @@ class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, 
         self.single_action_space = _join_boxes(self.vector.single_action_space, players)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._over = np.zeros(self.num_envs, dtype=np.bool_)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -218,8 +235,7 @@ class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, 
         if mask is not None and not np.any(mask):
             raise ValueError("options['reset_mask'] must name at least one environment to reset")
         observations, infos = self.vector.reset(seed, mask, values.get("estimates"))
-        started = np.ones_like(self._over) if mask is None else np.asarray(mask)
-        self._over = self._over & ~started
+        started = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
         return self._joint(observations), _add_masks(_join_players(infos), started)
 
     def step(self, actions: Float32Array) -> tuple[Float32Array, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
@@ -233,11 +249,10 @@ class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, 
         if actions.shape != self.action_space.shape:
             raise ValueError(f"joint actions have the shape {self.action_space.shape}, got {actions.shape}")
         actions = actions.reshape(self.num_envs, self.vector.num_players, -1)
-        restart = self._over if self.autoreset_mode is AutoresetMode.NEXT_STEP else None
+        restart = self.vector.over if self.autoreset_mode is AutoresetMode.NEXT_STEP else None
         outcome = self.vector.step(actions, restart)
         observations, infos, final = self._joint(outcome.observations), _join_players(outcome.infos), {}
         over = outcome.terminated | outcome.truncated
-        self._over = over
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
             final_observations = np.full(self.num_envs, None, dtype=object)
             for index in np.flatnonzero(over):
@@ -251,7 +266,6 @@ class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, 
             fresh, first = self.vector.reset(mask=over)
             observations, first = self._joint(fresh), _join_players(first)
             infos = {name: np.where(over, first[name], values) for name, values in infos.items()}
-            self._over = np.zeros_like(over)
         infos = {**final, **_add_masks(infos, np.ones_like(over))}
         return observations, _mean(outcome.rewards), outcome.terminated, outcome.truncated, infos
 

@@ -22,6 +22,7 @@ from ptne_env.shared.arrays import Float32Array, FloatArray
 from ptne_env.world import dynamics
 from ptne_env.world.catalogue import CATALOGUE
 from ptne_env.world.dynamics import State
+from ptne_env.world.rewards import RewardChoice
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
 
@@ -45,7 +46,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
         interface: ``"scaled"`` or ``"physical"``, or the interface of a policy, such as ``laws.Static.interface``; see
             :class:`~ptne_env.perception.observation.ObservationLayout`.
-        reward: the name of a reward term (``digits``, ``tracking``, ``payoff``, ``regret``), or weights by name.
+        reward: the name of a reward term (``digits``, ``tracking``, ``payoff``, ``regret``), or weights by name; or a
+            function of (before, after, world), a :data:`~ptne_env.world.rewards.RewardFunction`.
         max_cycles: the number of steps after which the episode is truncated.
         render_mode: ``None``, ``"human"`` or ``"rgb_array"``.
         **overrides: fields of the scenario to change, such as ``start="paper"``, ``hold_steps=50`` or
@@ -76,7 +78,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         scenario: str | Scenario = "energy",
         *,
         interface: InterfaceKind | Interface = "scaled",
-        reward: str | Mapping[str, float] = "digits",
+        reward: RewardChoice = "digits",
         max_cycles: int | None = None,
         render_mode: str | None = None,
         **overrides: Any,
@@ -150,8 +152,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         Raises:
             RuntimeError: before the first reset, where the scenario draws games.
         """
-        game = self._simulation.current.game if self.world.has_random_game else self.world.game
-        return game.nash_equilibrium.copy()
+        return self._simulation.nash_equilibria[:, 0].copy()
 
     @property
     def time(self) -> float:
@@ -260,14 +261,16 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         return self._simulation.current
 
     def set_state(self, state: State) -> None:
-        """Continue the episode from a state, a batch of one of the same world.
+        """Continue the episode from a state, a batch of one of the same world; its game may be another one.
 
-        The random generators stay as they are, so the next reset draws as if this had not been called.
+        So ``env.set_state(env.get_state()._replace(game=game))`` changes the game between two steps. The random
+        generators stay as they are, so the next reset draws as if this had not been called.
 
         Raises:
             ValueError: for a state of another world or of several environments; the state stays as it was.
         """
         self._simulation.set_state(state)
+        state = self._simulation.current
         self.agents = [] if dynamics.is_over(self.world, state)[0] else self.possible_agents.copy()
         if self._renderer is not None:
             self._renderer.reset(state)

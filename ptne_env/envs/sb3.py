@@ -19,11 +19,15 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
     raise ImportError('the Stable-Baselines3 adapter needs an extra: pip install "ptne-env[sb3]"') from error
 
 from ptne_env.envs.rendering import Renderer
+from ptne_env.envs.simulation import require_options
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
 from ptne_env.shared.arrays import BoolArray, Float32Array, as_plain, require_count
 from ptne_env.world.scenario import Scenario
 
 Indices = int | Iterable[int] | None
+
+TRUE_STATE = ("estimates", "strategies", "nash_equilibria", "time")
+"""The attributes of which ``get_attr`` returns the row of each member's environment."""
 
 
 class PlayerVecEnv(VecEnv):
@@ -35,7 +39,8 @@ class PlayerVecEnv(VecEnv):
     which is not needed) and the entries of :class:`~ptne_env.NashSeekingEnv`'s infos; other infos are empty.
 
     The environments are one object: ``get_attr`` and ``set_attr`` reach its attributes, and ``env_method`` calls a
-    method once and returns the answer for each requested member.
+    method once and returns the answer for each requested member. Of the true state (:data:`TRUE_STATE`) ``get_attr``
+    returns what concerns the member's environment, such as its ``estimates`` (N, n), in an array of its own.
 
     Args:
         scenario: a name of the catalogue or a scenario.
@@ -87,9 +92,23 @@ class PlayerVecEnv(VecEnv):
         self._seeds = [first + member // self._players for member in range(self.num_envs)]
         return self._seeds
 
+    def set_options(self, options: Any = None) -> None:
+        """Set the options of the next reset: ``{"estimates": table}``, shape (N, n) for all or (B, N, n), as x^i(0).
+
+        Raises:
+            TypeError: when the options are not one dictionary.
+            ValueError: for an unknown option.
+        """
+        super().set_options(dict(require_options(options, "estimates")))
+
     def reset(self) -> Float32Array:
-        """Start all episodes and return the observations, shape (B·N, size)."""
-        observations, _ = self.vector.reset(self._seeds[:: self._players])
+        """Start all episodes and return the observations, shape (B·N, size).
+
+        Raises:
+            ValueError: for estimates in the options of another shape or out of range; no environment is touched.
+        """
+        estimates = self._options[0].get("estimates")
+        observations, _ = self.vector.reset(self._seeds[:: self._players], estimates=estimates)
         self._returns[:], self._lengths[:] = 0, 0
         self.reset_infos = [{} for _ in range(self.num_envs)]
         if self._renderer is not None:
@@ -148,7 +167,10 @@ class PlayerVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Return the attribute once per requested member."""
-        return [getattr(self._owner(attr_name), attr_name)] * self._count(indices)
+        value, members = getattr(self._owner(attr_name), attr_name), list(self._get_indices(indices))
+        if attr_name in TRUE_STATE:
+            return [value[member // self._players].copy() for member in members]
+        return [value] * len(members)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Set an attribute of the environments, which are one object; ``indices`` must name all members.

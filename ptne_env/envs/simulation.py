@@ -20,7 +20,7 @@ from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import distances, dynamics
 from ptne_env.world.catalogue import get_scenario
 from ptne_env.world.dynamics import State
-from ptne_env.world.rewards import Reward
+from ptne_env.world.rewards import Reward, RewardChoice
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
 
@@ -142,7 +142,7 @@ class Simulation:
         self,
         encoder: Encoder,
         *,
-        reward: str | Mapping[str, float] = "digits",
+        reward: RewardChoice = "digits",
         max_cycles: int | None = None,
         num_envs: int = 1,
     ) -> None:
@@ -180,11 +180,20 @@ class Simulation:
         """Continue from a state of as many environments; the random generators stay as they are.
 
         Raises:
-            ValueError: as :func:`ptne_env.world.dynamics.require_state`; the state stays as it was.
+            ValueError: as :func:`ptne_env.world.dynamics.restore`; the state stays as it was.
         """
-        dynamics.require_state(self.world, state, self.num_envs)
-        self.state = state
-        self._reward.reset(state)
+        self.state = dynamics.restore(self.world, state, self.num_envs)
+        self._reward.reset(self.state)
+
+    @property
+    def nash_equilibria(self) -> FloatArray:
+        """The equilibria x* of the games that are played, shape (n, B).
+
+        Raises:
+            RuntimeError: before the first reset, where the scenario draws games.
+        """
+        game = self.world.game if self.state is None and not self.world.has_random_game else self.current.game
+        return np.broadcast_to(game.nash_equilibria, (game.dimension, self.num_envs))
 
     def draw(
         self,

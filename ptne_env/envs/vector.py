@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +13,9 @@ from ptne_env.envs.simulation import EpisodeStart, Simulation, override_fields, 
 from ptne_env.perception.fields import InterfaceKind
 from ptne_env.perception.observation import Interface, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, as_plain, require_count, require_mask
+from ptne_env.world import dynamics
+from ptne_env.world.dynamics import State
+from ptne_env.world.rewards import RewardChoice
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.world import World
 
@@ -61,6 +64,7 @@ class VectorParallelEnv:
         num_players: N.
         layout: the layout of observations and actions.
         reward_names: the names of the reward terms in infos.
+        over: whether each environment must start again before the next step, shape (B,), never changed in place.
         single_observation_space: the space of one player's observation.
         single_action_space: the space of one player's action.
 
@@ -75,7 +79,7 @@ class VectorParallelEnv:
         num_envs: int = 1,
         *,
         interface: InterfaceKind | Interface = "scaled",
-        reward: str | Mapping[str, float] = "digits",
+        reward: RewardChoice = "digits",
         max_cycles: int | None = None,
         **overrides: Any,
     ) -> None:
@@ -97,7 +101,7 @@ class VectorParallelEnv:
         self.reward_names = self._blocks[0].reward_names
         self.single_observation_space: spaces.Box = self.layout.observation_space()
         self.single_action_space: spaces.Box = self.layout.action_space()
-        self._over = np.ones(self.num_envs, dtype=np.bool_)
+        self.over = np.ones(self.num_envs, dtype=np.bool_)
 
     @property
     def max_cycles(self) -> int | None:
@@ -108,6 +112,51 @@ class VectorParallelEnv:
     def max_cycles(self, value: int | None) -> None:
         for block in self._blocks:
             block.max_cycles = value
+
+    @property
+    def estimates(self) -> FloatArray:
+        """The estimates of all players now, shape (B, N, n), row i of an environment being x^i."""
+        return self._by_env([block.current.estimates for block in self._blocks])
+
+    @property
+    def strategies(self) -> FloatArray:
+        """The strategies x now, shape (B, n)."""
+        return self._by_env([dynamics.strategies(block.current) for block in self._blocks])
+
+    @property
+    def nash_equilibria(self) -> FloatArray:
+        """The equilibria x* of the games that are played, shape (B, n).
+
+        Raises:
+            RuntimeError: before the first reset, where the scenario draws games.
+        """
+        return self._by_env([block.nash_equilibria for block in self._blocks])
+
+    @property
+    def time(self) -> FloatArray:
+        """The time t now of each environment, in seconds, shape (B,)."""
+        return self._by_env([block.world.clock.t[block.current.step] for block in self._blocks])
+
+    def get_state(self) -> State:
+        """Return the state now, environments last, in arrays of its own; as in :class:`~ptne_env.NashSeekingEnv`.
+
+        Raises:
+            RuntimeError: before the first reset.
+        """
+        return dynamics.concatenate([block.current for block in self._blocks])
+
+    def set_state(self, state: State) -> None:
+        """Continue all episodes from a state of B environments of the same world; their games may be others.
+
+        The random generators stay as they are.
+
+        Raises:
+            ValueError: as :func:`ptne_env.world.dynamics.restore`; no environment is touched.
+        """
+        restored = dynamics.restore(self._blocks[0].world, state, self.num_envs)
+        for block, part in zip(self._blocks, self._slices, strict=True):
+            block.set_state(dynamics.select(restored, part))
+        self.over = dynamics.is_over(self._blocks[0].world, restored)
 
     def reset(
         self,
@@ -145,7 +194,7 @@ class VectorParallelEnv:
             if start is not None:  # refusals came before any block has started
                 block.begin(start)
             block.observe(observations[part])
-        self._over = self._over & ~starts
+        self.over = self.over & ~starts
         return observations, self._first_infos()
 
     def step(self, actions: npt.NDArray[np.floating], restart: BoolArray | None = None) -> VectorStep:
@@ -163,7 +212,7 @@ class VectorParallelEnv:
         """
         if restart is not None:
             restart = require_mask("a restart mask", restart, self.num_envs).copy()
-        halted = self._over if restart is None else self._over & ~restart
+        halted = self.over if restart is None else self.over & ~restart
         if np.count_nonzero(halted):  # which takes a fifth of the time of any()
             over = np.flatnonzero(halted)
             raise RuntimeError(
@@ -186,7 +235,7 @@ class VectorParallelEnv:
         ]
         rewards, terms, *arrays = zip(*outcomes, strict=True)
         terminated, truncated, diverged, is_success, clipped = map(np.concatenate, arrays)
-        self._over = terminated | truncated
+        self.over = terminated | truncated
         if restart is not None:
             clipped[restart] = 0
         infos = {"diverged": diverged, "clipped": clipped, "is_success": is_success}
@@ -223,8 +272,8 @@ class VectorParallelEnv:
         ]
 
     def _by_env(self, parts: Sequence[FloatArray]) -> FloatArray:
-        """Return the blocks' arrays (N, B) as one C-contiguous array (B, N)."""
-        result = np.empty((self.num_envs, self.num_players))
+        """Return the blocks' arrays, environments last, as one C-contiguous array with the axes in reverse order."""
+        result = np.empty((self.num_envs, *parts[0].shape[-2::-1]))
         np.concatenate([part.T for part in parts], out=result)
         return result
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import cached_property
 from typing import ClassVar, Self
@@ -21,8 +21,8 @@ from ptne_env.shared.arrays import (
     array_namespace,
     freeze,
     ordered_sum,
-    replace_columns,
     require_count,
+    with_games,
 )
 from ptne_env.shared.parts import Part
 
@@ -214,24 +214,27 @@ class Game(Part, ABC):
         """Return the game itself, for any number of environments; see :class:`~ptne_env.games.GameFamily`."""
         return self
 
-    def merge(self, fresh: Game, mask: BoolArray) -> Game:
-        """Return the batch with the games in ``mask`` (G,) replaced, in order, by those of ``fresh``.
+    def map_columns(self, function: Callable[..., FloatArray], *others: Game) -> Game:
+        """Return the batch whose parameters are a function of those of several games, of which one is a batch at least.
 
-        A single game can be merged with itself alone.
+        Games are the last axis of the function's arrays. A game that is no batch, alone or with itself, is returned.
 
         Raises:
-            TypeError: when ``fresh`` is another kind of game.
+            TypeError: when the games are of several kinds, or none is a batch.
         """
-        if fresh is self:
+        games = (self, *others)
+        batch = next((game for game in games if game.is_batch), None)
+        if batch is None and all(game is self for game in others):
             return self
-        if not self.is_batch or type(self) is not type(fresh) or self.action_dims != fresh.action_dims:
-            raise TypeError(
-                f"{type(self).__name__}.merge() needs a batch of such games of the same players, got "
-                f"{type(fresh).__name__}"
-            )
-        return self.with_columns(
-            {name: replace_columns(getattr(self, name), getattr(fresh, name), mask) for name in self.parameters}
-        )
+        kinds = {(type(game), game.action_dims) for game in games}
+        if batch is None or len(kinds) > 1:
+            names = ", ".join(type(game).__name__ for game in games)
+            raise TypeError(f"games are merged with a batch of games of the same class and players, got {names}")
+        columns = {}
+        for name, axes in self.parameters.items():
+            values = [getattr(game, name) for game in games]
+            columns[name] = function(*(each if np.ndim(each) > axes else with_games(each, axes) for each in values))
+        return batch.with_columns(columns)
 
     def with_columns(self, columns: Mapping[str, FloatArray]) -> Self:
         """Return a batch with other values of the parameters, by name, without checking them."""

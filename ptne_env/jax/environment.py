@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from traceback import extract_tb
@@ -24,7 +24,7 @@ from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import distances, dynamics
 from ptne_env.world.catalogue import get_scenario
 from ptne_env.world.dynamics import State
-from ptne_env.world.rewards import Reward, measure_distances
+from ptne_env.world.rewards import Reward, RewardChoice, measure_distances
 from ptne_env.world.scenario import Scenario
 from ptne_env.world.starts import UniformStart
 from ptne_env.world.world import EpisodeRandomness, World
@@ -163,7 +163,7 @@ class JaxWorld:
         in_order = wanted[layout.ego_place.T, np.arange(layout.num_players)]
         return jnp.clip(in_order, -layout.input_limit, layout.input_limit)
 
-    def rewards(self, before: State, after: State, reward: str | Mapping[str, float] = "digits") -> jax.Array:
+    def rewards(self, before: State, after: State, reward: RewardChoice = "digits") -> jax.Array:
         """The rewards of the step from one state to the next, shape (N, B); see :mod:`ptne_env.world.rewards`.
 
         An episode that diverges in the step is charged for all that remain, and no more afterwards.

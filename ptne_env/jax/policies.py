@@ -20,7 +20,7 @@ from ptne_env.perception.observation import Interface, LayoutError, ObservationL
 from ptne_env.perception.policy import RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array
 from ptne_env.world.dynamics import State
-from ptne_env.world.rewards import Reward
+from ptne_env.world.rewards import RewardChoice
 
 Act = Callable[[Any, jax.Array, Any], tuple[jax.Array, Any]]
 """``act(params, observation, memory) -> (action, memory)`` of one player: (size,) to (n,)."""
@@ -100,7 +100,7 @@ def rollout(
     num_envs: int = 1,
     *,
     steps: int | None = None,
-    reward: str | Mapping[str, float] = "digits",
+    reward: RewardChoice = "digits",
     memory: Any = None,
 ) -> JaxRollout:
     """Run a policy through whole episodes: every player decides, all inputs are held for a step, and again.
@@ -121,20 +121,21 @@ def rollout(
     """
     if policy.interface != world.layout.interface:
         raise LayoutError(f"the policy acts through {policy.interface}, and the world has {world.layout.interface}")
-    weights = tuple(Reward(world.numpy, reward).weights.items())
-    return _run(world, policy.with_layout(world.layout), key, num_envs, steps, weights, memory)
+    kept = tuple(reward.items()) if isinstance(reward, Mapping) else reward  # as JAX finds compiled functions by it
+    return _run(world, policy.with_layout(world.layout), key, num_envs, steps, kept, memory)
 
 
-@partial(jax.jit, static_argnames=("world", "num_envs", "steps", "weights"))
+@partial(jax.jit, static_argnames=("world", "num_envs", "steps", "reward"))
 def _run(
     world: JaxWorld,
     policy: JaxPolicy,
     key: jax.Array | State,
     num_envs: int,
     steps: int | None,
-    weights: tuple[tuple[str, float], ...],
+    reward: Any,
     memory: Any,
 ) -> JaxRollout:
+    chosen = dict(reward) if isinstance(reward, tuple) else reward
     of_player = jax.vmap(policy.act, in_axes=(None, -1, -1), out_axes=-1)
     of_all = jax.vmap(of_player, in_axes=(None, -1, -1), out_axes=-1)
 
@@ -142,7 +143,7 @@ def _run(
         state, memory = carry
         actions, memory = of_all(policy.params, world.observe(state), memory)
         after = world.step(state, world.inputs(state, actions))
-        return (after, memory), (world.rewards(state, after, dict(weights)), world.digits(after))
+        return (after, memory), (world.rewards(state, after, chosen), world.digits(after))
 
     state = key if isinstance(key, State) else world.reset(key, num_envs)
     if memory is None:

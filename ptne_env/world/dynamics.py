@@ -10,7 +10,7 @@ games: 1, or B where every environment has its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -134,19 +134,21 @@ def begin(world: World, estimates: FloatArray, game: Game, randomness: EpisodeRa
     return _complete(world, _project(estimates, game), game, step, diverged, randomness)
 
 
-def require_state(world: World, state: State, batch: int) -> None:
-    """Check that a state, such as a saved one, fits a world and has ``batch`` environments.
+def restore(world: World, state: State, batch: int) -> State:
+    """Return a state, such as a saved one, that fits a world and has ``batch`` environments, with its own gradients.
 
-    The memory of a channel and the numbers of a game are not checked.
+    Its game may be another one than that of the world: a single environment plays any game of the same players, and
+    several play the world's game, or one each that differs from it in its parameters alone. The memory of a channel is
+    not checked.
 
     Raises:
-        ValueError: when it is no state, has another shape, a step or estimates out of range, another game's
-            dimensions, or draws and messages that the world lacks or needs.
+        ValueError: when it is no state, has another shape, a step or estimates out of range, other games, or draws and
+            messages that the world lacks or needs.
     """
     if not isinstance(state, State):
         raise ValueError(f"a state is a ptne_env.world.dynamics.State, got {type(state).__name__}")
-    game, last = world.game, world.clock.total_steps
-    expected = game.dimension, game.num_players, batch
+    known, last = world.game, world.clock.total_steps
+    expected = known.dimension, known.num_players, batch
     if state.estimates.shape != expected or state.step.shape != (batch,):
         raise ValueError(f"a state of this environment has estimates of shape {expected}, got {state.estimates.shape}")
     if not np.all((state.step >= 0) & (state.step <= last)):
@@ -156,7 +158,7 @@ def require_state(world: World, state: State, batch: int) -> None:
     modes: Any = None if state.randomness is None else state.randomness.modes
     messages: Any = None if state.received is None else state.received.messages
     fits = {
-        "players and dimensions": state.game.action_dims == game.action_dims and state.game.batch_size in (1, batch),
+        "players and dimensions": state.game.action_dims == known.action_dims,
         "random draws": (state.randomness is not None) == world.has_episode_randomness,
         "active graphs": np.shape(modes) == ((last + 1, batch) if world.topology.is_random else ())
         and (modes is None or modes.max() < len(world.topology.graphs)),
@@ -167,6 +169,24 @@ def require_state(world: World, state: State, batch: int) -> None:
         raise ValueError(
             f"the state is of another world: its {', '.join(faults)} are not those of scenario {world.scenario.name!r}"
         )
+    game = state.game
+    if batch > 1 and game.batch_size == 1 and game == known:
+        game = known  # so that environments can be replaced one by one
+    elif game.batch_size != batch or (batch > 1 and not _is_alike(game, known)):
+        raise ValueError(
+            f"{batch} environments play {known!r}, or a batch of {batch} games that differ from it in "
+            f"{', '.join(known.parameters) or 'nothing'}, got {game!r}"
+        )
+    gradients = np.where(state.diverged, state.own_gradients, _own_gradients(game, state.estimates))
+    diverged = state.diverged | ~_is_near(state.estimates, gradients)
+    restored = state._replace(game=game, own_gradients=_clip(gradients), diverged=diverged)
+    return restored._replace(any_diverged=bool(diverged.any()))
+
+
+def _is_alike(game: Game, known: Game) -> bool:
+    """Return whether games differ in their parameters alone, so that one can take the place of the other in a batch."""
+    columns = {name: getattr(known, name) for name in known.parameters}
+    return type(game) is type(known) and game.with_columns(columns) == known
 
 
 def step(world: World, state: State, inputs: FloatArray) -> State:
@@ -198,17 +218,38 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
 
 def merge(state: State, fresh: State, mask: BoolArray) -> State:
     """Replace the environments in ``mask`` (B,), in order, by all those of ``fresh``."""
+    return _map_arrays(lambda old, new: replace_columns(old, new, mask), state, fresh)
 
-    def replace(old: Any, new: Any) -> Any:
-        if isinstance(old, tuple):
-            parts = [replace(*pair) for pair in zip(old, new, strict=True)]
-            return old._make(parts) if hasattr(old, "_make") else tuple(parts)
-        if isinstance(old, Game):
-            return old.merge(new, mask)
-        return old if old is None or isinstance(old, bool) else replace_columns(old, new, mask)
 
-    merged: State = replace(state, fresh)
-    return merged._replace(any_diverged=bool(merged.diverged.any()))
+def concatenate(states: Sequence[State]) -> State:
+    """Return the state of all environments of several states, in order, in arrays of its own."""
+
+    def join(*arrays: Any) -> Any:  # those of a game that serves a whole state have one column
+        row = max((array.shape[:-1] for array in arrays), key=len)
+        wide = [np.broadcast_to(array, (*row, batch_size(state))) for array, state in zip(arrays, states, strict=True)]
+        return np.concatenate(wide, axis=-1)
+
+    return _map_arrays(join, *states)
+
+
+def select(state: State, environments: slice) -> State:
+    """Return the state of some of the environments, in arrays of its own."""
+    return _map_arrays(lambda array: array[..., environments].copy(), state)
+
+
+def _map_arrays(function: Callable[..., Any], *states: State) -> State:
+    """Return the state whose arrays, and parameters of games, are a function of those of other states."""
+
+    def call(first: Any, *others: Any) -> Any:
+        if isinstance(first, tuple):
+            values = [call(*parts) for parts in zip(first, *others, strict=True)]
+            return first._make(values) if hasattr(first, "_make") else tuple(values)
+        if isinstance(first, Game):
+            return first.map_columns(function, *others)
+        return first if first is None or isinstance(first, bool) else function(first, *others)
+
+    mapped: State = call(*states)
+    return mapped._replace(any_diverged=bool(mapped.diverged.any()))
 
 
 def batch_size(state: State) -> int:

@@ -1,4 +1,4 @@
-"""The reward: a weighted sum of the terms in :data:`TERMS`, the one table that numpy and JAX read.
+"""The reward: a weighted sum of the terms in :data:`TERMS`, the one table that numpy and JAX read; or a function.
 
 Terms use x*, which no observation shows: a privilege of training.
 
@@ -9,12 +9,13 @@ has a lower reward, so divergence never pays.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
+from inspect import signature
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
 from ptne_env.games import Game, NoBestResponseError
-from ptne_env.shared.arrays import BoolArray, FloatArray, array_namespace, require_non_negative
+from ptne_env.shared.arrays import FloatArray, array_namespace, is_numpy, require_non_negative
 from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.world import RANGE_LIMIT, World
@@ -78,29 +79,38 @@ TERMS: Mapping[str, Term] = {
 """The terms of the reward by name. A new term is one entry here and its row in docs/environment.md."""
 
 
-class Reward:
-    """The reward of one world, a term by its name or weights by name, with a memory of the previous instant.
+RewardFunction: TypeAlias = Callable[[State, State, World], Any]
+"""``reward(before, after, world)``: the rewards of the steps of B environments from one state to the next, (N, B), or
+(B,) for one that all players share. States have environments last and are not to be changed; B may differ by call. An
+environment that leaves the range, ``after.diverged``, is clipped to it, and nothing is paid afterwards."""
 
-    It computes with the library of its states.
+RewardChoice: TypeAlias = str | Mapping[str, float] | RewardFunction
+"""The name of a term, weights by name, or a function."""
+
+
+class Reward:
+    """The reward of one world, with a memory of the previous instant; it computes with the library of its states.
 
     Attributes:
-        weights: by term.
+        weights: by term; those of a function are ``{"function": 1.0}``.
         distances: d^i at the present instant, shape (N, B), with the limit where an environment has diverged.
 
     Raises:
-        TypeError: for anything but a name and a mapping.
+        TypeError: for anything but a name, a mapping and a function of three arguments.
         ValueError: for an unknown term, no term, a weight that is negative (divergence would pay) or not finite, or
             a term that needs a best response on a game without one.
     """
 
-    def __init__(self, world: World, reward: str | Mapping[str, float] = "digits") -> None:
-        if not isinstance(reward, str | Mapping):
+    def __init__(self, world: World, reward: RewardChoice = "digits") -> None:
+        is_named = isinstance(reward, str | Mapping)
+        if not (is_named or _takes_a_step(reward)):
             raise TypeError(
-                f"reward is one of {', '.join(TERMS)}, or weights by name such as {{'digits': 1.0, 'payoff': 0.1}}, "
-                f"got {reward!r}; another reward is a wrapper of the environment (docs/adding-parts.md)"
+                f"reward is one of {', '.join(TERMS)}, or weights by name such as {{'digits': 1.0, 'payoff': 0.1}}, or "
+                f"a function of (before, after, world), got {reward!r}"
             )
-        weights = {reward: 1.0} if isinstance(reward, str) else reward
-        if (unknown := sorted(set(weights) - set(TERMS))) or not weights:
+        self._world, self._function = world, None if is_named else cast(RewardFunction, reward)
+        weights: Any = {} if not is_named else {reward: 1.0} if isinstance(reward, str) else reward
+        if (unknown := sorted(set(weights) - set(TERMS))) or (is_named and not weights):
             raise ValueError(f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}")
         self.weights = {name: require_non_negative(f"the weight of reward {name!r}", weights[name]) for name in weights}
         refused = [name for name in weights if TERMS[name].needs_best_response and not world.game.has_best_response]
@@ -110,33 +120,49 @@ class Reward:
                 f"reward {refused[0]!r} needs a best response, which {type(world.game).__name__} does not have "
                 f"everywhere; choose {', '.join(others[:-1])} or {others[-1]}"
             )
-        self._only = next(iter(weights)) if [*self.weights.values()] == [1] else None  # nearly always, and quicker
+        if self._function is not None:
+            self.weights = {"function": 1.0}
+        self._only = next(iter(self.weights)) if [*self.weights.values()] == [1] else None  # nearly always, and quicker
         self._gains = [name for name in weights if TERMS[name].is_gain]
         self._steps = world.clock.total_steps
         self._values: dict[str, FloatArray] = {}
-        self._was_diverged: BoolArray = np.zeros(0, dtype=np.bool_)
+        self._state: Any = None
         self.distances = np.empty((0, 0))
 
     def reset(self, state: State) -> None:
         """Measure ``state``, from which the next step is rewarded."""
-        self._values, self._was_diverged = self._measure(state, self._gains), state.diverged
+        self._values, self._state = self._measure(state, self._gains), state
 
     def step(self, state: State) -> dict[str, FloatArray]:
         """Return the value of each term for the step that ended in ``state``, each of shape (N, B).
 
         An episode that diverges in the step is charged for all that remain, and no more afterwards.
+
+        Raises:
+            ValueError: when a function returns something else than finite numbers of shape (N, B) or (B,).
         """
+        if self._function is not None:
+            return self._call(self._function, state)
         before, values = self._values, self._measure(state, self.weights)
         self._values, terms = values, values.copy()
         for name in self._gains:
             terms[name] = values[name] - before[name]
         if state.any_diverged:
             xp = array_namespace(state.diverged)
-            remaining = xp.where(self._was_diverged, 0, 1 + self._steps - state.step)
+            remaining = xp.where(self._state.diverged, 0, 1 + self._steps - state.step)
             charged = xp.where(state.diverged, remaining, 1)
             terms = {name: term if TERMS[name].is_gain else term * charged for name, term in terms.items()}
-        self._was_diverged = state.diverged
+        self._state = state
         return terms
+
+    def _call(self, function: RewardFunction, state: State) -> dict[str, FloatArray]:
+        """Return the value of a function for the step that ended in ``state``, 0 where that began after divergence."""
+        before, xp, shape = self._state, array_namespace(state.estimates), state.estimates.shape[1:]
+        self.reset(state)
+        paid: Any = function(before, state, self._world)
+        if np.shape(paid) not in (shape, shape[1:]) or (is_numpy(paid) and not np.isfinite(paid).all()):
+            raise ValueError(f"a reward function returns finite numbers of shape {shape} or {shape[1:]}, got {paid!r}")
+        return {"function": xp.where(before.diverged, 0.0, xp.broadcast_to(paid, shape)).astype(np.float64)}
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """Return the weighted sum of the terms, shape (N, B)."""
@@ -158,6 +184,15 @@ class Reward:
         for name in names:
             values[name] = xp.where(diverged, TERMS[name].worst(game), TERMS[name].value(safe, self.distances))
         return values
+
+
+def _takes_a_step(reward: Any) -> bool:
+    """Return whether an object can be called with (before, after, world)."""
+    try:
+        signature(reward).bind(None, None, None)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def measure_distances(state: State) -> FloatArray:

@@ -185,3 +185,18 @@ def test_given_estimates_start_all_or_only_the_masked_environments():
     assert np.array_equal(observations[2], expected)
     expected, _ = one.reset(options={"estimates": table[1]})
     assert np.array_equal(observations[1], expected)
+
+
+def test_the_true_state_is_that_of_the_wrapped_environment():
+    env, envs = JointEnv("energy"), JointVectorEnv("energy", 2)
+    env.reset(seed=0), envs.reset(seed=0)
+    saved, together = env.get_state(), envs.get_state()
+    env.step(env.action_space.sample()), envs.step(envs.action_space.sample())
+    assert env.time > 0
+    env.set_state(saved), envs.set_state(together)
+    assert env.time == 0
+    assert np.array_equal(env.estimates, envs.estimates[0])
+    assert np.array_equal(env.strategies, envs.strategies[0])
+    assert np.array_equal(env.nash_equilibrium, envs.nash_equilibria[1])
+    assert np.array_equal(envs.time, [0.0, 0.0])
+    assert np.array_equal(env.state(), env.parallel.state())

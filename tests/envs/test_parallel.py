@@ -8,6 +8,7 @@ from worlds import BLOCKS, FAULTY, constant_actions, make_env, while_running
 import ptne_env
 from ptne_env import laws
 from ptne_env.envs.parallel import aec_env
+from ptne_env.games import EnergyGame
 
 
 def test_options_set_the_start():
@@ -272,3 +273,23 @@ def test_no_actions_after_the_end_return_empty_dictionaries():
     env.reset()
     env.step(constant_actions(env, 0.0))
     assert env.step({}) == ({}, {}, {}, {}, {})
+
+
+def test_a_state_with_another_game_plays_it_at_once():
+    env, other = ptne_env.parallel_env("energy"), EnergyGame(target=(30.0, 25.0, 20.0, 15.0, 10.0))
+    env.reset(seed=1)
+    env.set_state(env.get_state()._replace(game=other))
+    assert np.array_equal(env.nash_equilibrium, other.nash_equilibrium)
+    assert np.array_equal(env.get_state().own_gradients, other.own_gradients(env.get_state().estimates))
+    rewards = env.step(constant_actions(env, 0.0))[1]
+    assert list(rewards.values()) == [0.0] * 5  # nobody moved, so no digit is gained by the change
+    env.reset()
+    assert np.array_equal(env.nash_equilibrium, EnergyGame().nash_equilibrium)
+
+
+def test_a_game_whose_gradients_leave_the_range_ends_the_episode():
+    env = ptne_env.parallel_env("energy")
+    env.reset(seed=1)
+    env.set_state(env.get_state()._replace(game=EnergyGame(curvature=1e6)))
+    assert env.agents == []
+    assert env.get_state().any_diverged

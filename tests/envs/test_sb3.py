@@ -13,7 +13,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecNormalize
 
 from ptne_env import FactorySpec, PolicySpec, VectorParallelEnv, evaluate, get_scenario, laws
-from ptne_env.envs.sb3 import PlayerVecEnv
+from ptne_env.envs.sb3 import TRUE_STATE, PlayerVecEnv
 from ptne_env.evaluation import episode_seed
 from ptne_env.world.world import World
 
@@ -138,3 +138,32 @@ def test_algorithms_learn_without_a_warning_and_reproducibly(algorithm):
         assert np.isfinite(trained[-1]).all()
         assert not np.array_equal(before, trained[-1])
     assert np.array_equal(*trained)
+
+
+def test_options_start_the_next_episodes_and_unknown_ones_are_refused():
+    env, expected = PlayerVecEnv("energy", 2, seed=3), VectorParallelEnv("energy", 2)
+    tables = np.arange(50.0).reshape(2, 5, 5)
+    for table in (tables[0], tables):
+        env.set_options({"estimates": table})
+        assert np.array_equal(env.reset(), expected.reset(estimates=table)[0].reshape(10, -1))
+    assert not np.array_equal(env.reset(), expected.reset(estimates=tables)[0].reshape(10, -1))
+    with pytest.raises(ValueError, match="unknown reset option 'estimate'; choose from estimates"):
+        env.set_options({"estimate": tables})
+    with pytest.raises(TypeError, match="reset options are a dictionary"):
+        env.set_options([{"estimates": tables[0]}] * 10)
+
+
+def test_members_show_the_true_state_of_their_environment_in_arrays_of_their_own():
+    env = PlayerVecEnv("random-energy", 2, seed=3)
+    env.reset()
+    for name in TRUE_STATE:
+        rows = env.get_attr(name)
+        assert len(rows) == 10
+        assert all(np.array_equal(row, getattr(env.vector, name)[member // 5]) for member, row in enumerate(rows))
+    first, second = env.get_attr("estimates", [0, 1])
+    first[...] = 0
+    assert second.any()
+    saved = env.env_method("get_state", indices=0)[0]
+    env.step(np.ones((10, 5), dtype=np.float32))
+    env.env_method("set_state", saved)
+    assert np.array_equal(env.vector.estimates, saved.estimates.T)

@@ -1,13 +1,18 @@
 """The vector environment's own facts: seeds, masks, restarts; what all adapters promise is in test_adapters.py."""
 
+import pickle
+
 import numpy as np
 import pytest
 from test_adapters import same
-from worlds import SHORT, make_env, random_actions
+from worlds import BLOCKS, FAULTY, SHORT, make_env, random_actions
 
 from ptne_env import VectorParallelEnv
 from ptne_env.envs import vector as vector_module
 from ptne_env.envs.vector import VectorStep
+from ptne_env.games import EnergyGame, NonQuadraticGame
+from ptne_env.world import distances, dynamics
+from ptne_env.world.rewards import measure_distances
 
 
 @pytest.fixture(params=[1024, 2], ids=["one block", "blocks of two"])
@@ -197,3 +202,110 @@ def test_a_bad_restart_mask_is_refused_and_no_environment_moves():
     with pytest.raises(ValueError, match="a restart mask is 5 booleans, got int64"):
         env.step(actions, np.ones(5, dtype=np.int64))
     assert np.array_equal(env.step(actions).observations, undisturbed.step(actions).observations)
+
+
+TRUE_STATE = ("estimates", "strategies", "time", "nash_equilibria")
+
+
+@pytest.mark.parametrize("name", ["random-energy", BLOCKS], ids=str)
+def test_the_true_state_has_a_row_per_environment_in_arrays_of_its_own(name, block_size):
+    env, alone = make(name, 3), make_env(name, **SHORT)
+    env.reset(seed=4)
+    actions = random_actions(env, np.random.default_rng(0))
+    env.step(actions)
+    shown = {name: getattr(env, name) for name in TRUE_STATE}
+    for index in range(3):
+        alone.reset(seed=4 + index)
+        alone.step(dict(zip(alone.agents, actions[index], strict=True)))
+        for array, row in zip(shown.values(), (alone.estimates, alone.strategies, alone.time), strict=False):
+            np.testing.assert_array_equal(array[index], row, strict=isinstance(row, np.ndarray))
+        np.testing.assert_array_equal(shown["nash_equilibria"][index], alone.nash_equilibrium, strict=True)
+    kept = {name: array.copy() for name, array in shown.items()}
+    for array in (*shown.values(), env.get_state().estimates):
+        array[...] = 7.0
+    assert all(np.array_equal(getattr(env, name), kept[name]) for name in TRUE_STATE)
+
+
+def test_the_true_state_asks_for_a_reset_but_a_known_game_needs_none(block_size):
+    with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+        _ = make().nash_equilibria
+    for read in (lambda env: env.estimates, lambda env: env.time, lambda env: env.get_state()):
+        with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
+            read(make("energy"))
+    assert np.array_equal(make("energy").nash_equilibria, np.tile(make_env("energy").nash_equilibrium, (5, 1)))
+
+
+@pytest.mark.parametrize("name", ["random-energy", FAULTY], ids=str)
+def test_a_state_is_gone_back_to_bit_for_bit(name, block_size):
+    env = make(name, steps=40)
+    env.reset(seed=0)
+    go_on(env, 4)
+    saved, over = env.get_state(), env.over
+    first = [env.step(random_actions(env, np.random.default_rng(k))) for k in range(3)]
+    env.reset(mask=[True, False, False, True, False])
+    env.set_state(pickle.loads(pickle.dumps(saved)))  # noqa: S301
+    assert np.array_equal(env.over, over)
+    again = [env.step(random_actions(env, np.random.default_rng(k))) for k in range(3)]
+    assert same(first, again)
+    alone = make_env(name, steps=40)
+    alone.reset(seed=9)
+    alone.set_state(dynamics.select(saved, slice(3, 4)))
+    assert np.array_equal(alone.estimates, saved.estimates[:, :, 3].T)
+
+
+def test_a_state_with_other_games_plays_them_until_the_next_start(block_size):
+    env = make("energy")
+    env.reset(seed=0)
+    targets = np.random.default_rng(0).uniform(5, 35, (5, 5))
+    games = EnergyGame(target=targets, curvature=np.ones((5, 5)), coupling=np.full(5, 0.1))
+    env.set_state(env.get_state()._replace(game=games))
+    alone = make_env("energy", **SHORT)
+    for index in range(5):
+        alone.reset(seed=index)
+        alone.set_state(alone.get_state()._replace(game=EnergyGame(target=targets[:, index])))
+        np.testing.assert_allclose(env.nash_equilibria[index], alone.nash_equilibrium, rtol=1e-14)
+        assert np.array_equal(env.get_state().own_gradients[:, index], alone.get_state().own_gradients[:, 0])
+    drifted = env.nash_equilibria
+    env.reset(mask=[False, True, False, False, False])
+    assert np.array_equal(env.nash_equilibria[[0, 2, 3, 4]], drifted[[0, 2, 3, 4]])
+    np.testing.assert_allclose(env.nash_equilibria[1], make_env("energy").nash_equilibrium, rtol=1e-14)
+    env.reset(mask=[True, True, False, False, False])  # a whole block, where there are several
+    shown = env.nash_equilibria
+    env.set_state(env.get_state())
+    np.testing.assert_allclose(env.nash_equilibria, shown, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "game",
+    [
+        EnergyGame(target=(1.0, 2.0, 3.0, 4.0, 5.0)),
+        EnergyGame(np.ones((5, 5)), np.ones((5, 5)), np.ones(5), base_price=3.0),
+        EnergyGame(np.ones((5, 2)), np.ones((5, 2)), np.ones(2)),
+        NonQuadraticGame(),
+    ],
+)
+def test_games_that_cannot_take_each_others_place_are_refused_and_no_environment_is_touched(game, block_size):
+    env = make("energy")
+    env.reset(seed=0)
+    before = env.estimates
+    with pytest.raises(ValueError, match=r"5 environments play EnergyGame\(\), or .* curvature, target, coupling, got"):
+        env.set_state(env.get_state()._replace(game=game, estimates=np.zeros((5, 5, 5))))
+    assert np.array_equal(env.estimates, before)
+
+
+def test_a_reward_function_gets_all_environments_and_pays_nothing_for_a_restart(block_size):
+    def progress(before, after, world):
+        assert before.estimates.shape == after.estimates.shape
+        assert world.scenario.name == "random-energy"
+        return distances.player_distances(before.estimates, before.game) - measure_distances(after)
+
+    env, tracking = make(reward=progress, steps=30), make(reward="tracking", steps=30)
+    restart, generator = np.array([False, True, False, False, False]), np.random.default_rng(0)
+    env.reset(seed=0), tracking.reset(seed=0)
+    last = tracking.step(random_actions(env, np.random.default_rng(1))).rewards
+    env.step(random_actions(env, np.random.default_rng(1)))
+    actions = random_actions(env, generator)
+    ours, theirs = env.step(actions, restart), tracking.step(actions, restart)
+    np.testing.assert_allclose(ours.rewards[~restart], (theirs.rewards - last)[~restart], rtol=1e-9, atol=1e-9)
+    assert not ours.rewards[restart].any()
+    assert np.array_equal(ours.infos["reward_function"], ours.rewards)

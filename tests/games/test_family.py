@@ -13,6 +13,7 @@ from ptne_env.games import (
     RandomSaturating,
     require_strong_monotonicity,
 )
+from ptne_env.shared.arrays import replace_columns
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.theory import monotonicity_constants
 from ptne_env.world.world import World
@@ -30,6 +31,10 @@ DRAWN = {
     "saturating, players of different dimensions": RandomSaturating(RandomAffine(players=3, action_dim=(2, 1, 3))),
 }
 each_family = pytest.mark.parametrize("family", DRAWN.values(), ids=DRAWN.keys())
+
+
+def merge(old, fresh, mask):
+    return old.map_columns(lambda before, after: replace_columns(before, after, mask), fresh)
 
 
 def parameters(game):
@@ -85,11 +90,10 @@ def test_batch_of_games_has_no_single_equilibrium():
 def test_merged_replaces_the_masked_games_in_a_copy(family):
     old, fresh, expected = (family.draw(generators(seeds)) for seeds in (range(5), [10, 11], [0, 10, 2, 3, 11]))
     kept = [values.copy() for values in (*parameters(old), *parameters(fresh))]
-    merged = old.merge(fresh, np.array([False, True, False, False, True]))
+    merged = merge(old, fresh, np.array([False, True, False, False, True]))
     assert same_games(merged, expected)
     assert np.array_equal(merged.nash_equilibria, expected.nash_equilibria)
     assert all(map(np.array_equal, kept, (*parameters(old), *parameters(fresh))))
-    assert old.merge(old, np.ones(5, dtype=bool)) is old
 
 
 @each_family
@@ -143,14 +147,15 @@ def test_merging_keeps_the_price_and_refuses_other_games():
     family = RandomEnergy(base_price=3.0)
     game = family.draw(generators(range(2)))
     mask = np.array([True, False])
-    assert game.merge(family.draw(generators([9])), mask).base_price == 3.0
+    assert merge(game, family.draw(generators([9])), mask).base_price == 3.0
+    assert merge(game, EnergyGame(), mask).targets[:, 0].tolist() == [10, 15, 20, 25, 30]
     for first, second in [(game, NonQuadraticGame()), (game, HiddenGame()), (HiddenGame(), game)]:
-        with pytest.raises(TypeError, match=r"merge\(\) needs a batch of such games of the same players, got \w+"):
-            first.merge(second, mask)
+        with pytest.raises(TypeError, match=r"a batch of games of the same class and players, got \w+, \w+"):
+            merge(first, second, mask)
     single = NonQuadraticGame()
-    assert single.merge(single, mask) is single
-    with pytest.raises(TypeError, match="NonQuadraticGame.merge.. needs a batch of such games"):
-        single.merge(NonQuadraticGame(), mask)
+    assert merge(single, single, mask) is single
+    with pytest.raises(TypeError, match="got NonQuadraticGame, NonQuadraticGame"):
+        merge(single, NonQuadraticGame(), mask)
 
 
 def test_single_game_uses_no_random_numbers():

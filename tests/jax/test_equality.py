@@ -180,6 +180,16 @@ def test_a_term_of_the_reward_is_the_same_on_jax_also_when_episodes_diverge(name
     assert compare("random-energy", "physical", name, size=1e4)[-1].any()
 
 
+def test_a_reward_function_of_arrays_is_the_same_on_jax_also_when_episodes_diverge():
+    def price(before, after, world):
+        return (before.estimates - after.estimates).sum(axis=0) * world.clock.deadline
+
+    assert compare("random-energy", "physical", price, size=1e4)[-1].any()
+    world = ptne_env.jax.JaxWorld("energy", interface="physical")
+    played = ptne_env.jax.rollout(world, ptne_env.jax.static(world.layout), jax.random.key(0), 2, steps=3, reward=price)
+    assert played.rewards.shape == (3, 5, 2)
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [

@@ -4,7 +4,7 @@ from worlds import BLOCKS, constant_actions, make_env, while_running
 
 from ptne_env import get_scenario
 from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.world import dynamics
+from ptne_env.world import distances, dynamics
 from ptne_env.world.rewards import TERMS, Reward, measure_distances
 from ptne_env.world.world import RANGE_LIMIT, World
 
@@ -180,3 +180,33 @@ def test_divergence_is_charged_once_for_the_remaining_steps():
         assert charged[name] == pytest.approx(np.broadcast_to(lost, (5, 1)), rel=1e-12)
         assert (charged[name] < 0).all()
         assert (later[name] == 0).all()
+
+
+def digits_gained(before, after, world):
+    """The term ``digits`` as a function of a user, which serves numpy and JAX."""
+    return distances.digits(measure_distances(after)) - distances.digits(measure_distances(before))
+
+
+def test_a_function_pays_for_each_step_and_a_team_is_paid_alike():
+    _, _, _, terms = episode(GAMES["energy"], digits_gained)
+    _, _, _, expected = episode(GAMES["energy"], "digits")
+    assert all(np.array_equal(term["function"], row["digits"]) for term, row in zip(terms, expected, strict=True))
+    _, judge, _, terms = episode(GAMES["energy"], lambda before, after, world: after.own_gradients.sum(axis=0), steps=1)
+    assert judge.total(terms[0]).shape == (5, 3)
+    assert (np.ptp(judge.total(terms[0]), axis=0) == 0).all()
+
+
+@pytest.mark.parametrize("wrong", [np.zeros((3, 5)), np.full((5, 3), np.nan), 0.0, None], ids=str)
+def test_a_function_that_returns_something_else_is_refused(wrong):
+    with pytest.raises(ValueError, match=r"finite numbers of shape \(5, 3\) or \(3,\), got"):
+        episode(GAMES["energy"], lambda before, after, world: wrong)
+
+
+def test_a_function_pays_for_the_step_that_diverges_and_nothing_afterwards():
+    world = World(get_scenario("energy", start="random"))
+    judge, rest = Reward(world, lambda before, after, world: -1.0 - after.diverged), np.zeros((5, 5, 1))
+    before = dynamics.initial_state(world, rest)
+    judge.reset(before)
+    after = dynamics.step(world, before, rest + 1e9)
+    assert (judge.step(after)["function"] == -2).all()
+    assert (judge.step(dynamics.step(world, after, rest))["function"] == 0).all()
