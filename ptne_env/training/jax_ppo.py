@@ -27,7 +27,6 @@ import optax
 import ptne_env.jax
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.tracks import find_track
-from ptne_env.laws.static import static_inputs
 from ptne_env.learn.layers import (
     Metadata,
     Weights,
@@ -50,6 +49,7 @@ from ptne_env.training.configuration import (
     write_record,
 )
 from ptne_env.training.curve import validate, write_learning_curve
+from ptne_env.training.team import Team
 from ptne_env.world.dynamics import State
 
 POLICY, CHECKPOINT = "policy.npz", "checkpoint.npz"
@@ -112,10 +112,8 @@ class Learner:
         self.configuration = configuration
         self.track = find_track(configuration.scenario)
         self.world = ptne_env.jax.JaxWorld(self.track.scenario, seed=configuration.seed)
-        self.layout, team = self.world.layout, self.track.teammates
-        if team is not None and team.policy.target != "law:static":
-            raise ValueError(f"teammates in training follow law:static; those of {self.track.name!r}: {team.policy}")
-        self.players = np.setdiff1d(np.arange(self.layout.num_players), [] if team is None else team.players)
+        self.layout, self.team = self.world.layout, Team(self.track, self.world)
+        self.players = self.team.learners
         self.members = configuration.envs * len(self.players)
         self.is_recurrent = configuration.algorithm.endswith("-rnn")
         self.sees_state = configuration.algorithm.startswith("mappo")
@@ -213,16 +211,11 @@ class Learner:
 
     def _act(self, state: State, actions: Any) -> State:
         """Return the state after actions (n, M) of the players that learn; teammates follow their law."""
-        team, layout = self.track.teammates, self.layout
-        actions = actions.reshape(layout.action_size, len(self.players), -1)
-        if team is None:
-            return self.world.step(state, self.world.inputs(state, actions))
-        wanted = jnp.zeros((*actions.shape[:1], layout.num_players, actions.shape[2]), actions.dtype)
-        inputs = self.world.inputs(state, wanted.at[:, self.players].set(actions))
-        seen = layout.read(self.world.observe(state)[:, list(team.players)].T)
-        theirs = (static_inputs(seen, **dict(team.policy.arguments)) * seen.unit).T
-        limited = jnp.clip(theirs, -layout.input_limit, layout.input_limit)
-        return self.world.step(state, inputs.at[:, list(team.players)].set(limited))
+        actions = actions.reshape(self.layout.action_size, len(self.players), -1)
+        if self.team.is_teammate.any():
+            of_all = jnp.zeros((len(actions), self.layout.num_players, actions.shape[2]), actions.dtype)
+            actions = of_all.at[:, self.players].set(actions)
+        return self.world.step(state, self.team.complete(state, self.world.inputs(state, actions)))
 
     def _step(self, runner: Runner, key: Any) -> tuple[Runner, Steps]:
         of_actions, of_restarts = jax.random.split(key)

@@ -42,6 +42,7 @@ from ptne_env.shared.arrays import require_count, require_positive, require_prob
 from ptne_env.shared.files import write_atomically
 from ptne_env.training.configuration import RunSummary, read_finished_run, write_record
 from ptne_env.training.curve import write_learning_curve
+from ptne_env.training.team import Team
 from ptne_env.world import distances
 from ptne_env.world.catalogue import get_scenario
 
@@ -105,7 +106,7 @@ class Lesson:
     """A world in which a network trains, with episodes that go on from update to update, each in another phase.
 
     Args:
-        track: the world; its teammates, if any, follow the paper's static law.
+        track: the world, with a :class:`Team`.
         settings: the definition of the run.
         key: the key that draws the episodes.
     """
@@ -120,10 +121,7 @@ class Lesson:
         self._player = np.repeat(np.arange(layout.num_players), self.envs)
         self._windows = self.world.numpy.clock.total_steps // settings.window
         self._count, self._key = 0, key
-        self._kappa, self._stranger = 0.0, np.zeros((layout.num_players, self.envs), dtype=bool)
-        if track.teammates:
-            self._kappa = dict(track.teammates.policy.arguments)["kappa"]
-            self._stranger[list(track.teammates.players)] = True
+        self._team = Team(track, self.world)
         weights = initial_weights(np.random.default_rng(0), settings.hidden, settings.slot_hidden)
         memory = initial_memory(weights, layout, len(self._player), jnp)
         self._carry = self.world.reset(key, self.envs), memory
@@ -165,16 +163,13 @@ class Lesson:
     def _step(self, weights: Weights, carry: Any) -> Any:
         state, memory = carry
         world, layout = self.world, self.world.layout
-        observed = world.observe(state)
-        seen = read(layout, observed.reshape(len(observed), -1), self._player)
+        seen = read(layout, world.observe(state).reshape(layout.size, -1), self._player)
         shrink, shrink_memory = self._settings.shrink, self._settings.memory_shrink
         share = 1 / len(self._player)  # of a player of an environment in the loss
         memory = memory | {name: _damp(memory[name], shrink_memory, share) for name in ("hidden", "slot_hidden")}
         inputs, memory, _ = run_network(weights, layout, seen, memory)
-        if self._stranger.any():
-            theirs = self._kappa * (seen.live[:, None] * seen.relative).sum(0) - seen.gradient
-            inputs = jnp.where(self._stranger.reshape(-1), theirs, inputs)
-        state = world.step(state, inputs.reshape(*state.estimates.shape).astype(jnp.float64))
+        inputs = inputs.reshape(*state.estimates.shape).astype(jnp.float64)
+        state = world.step(state, self._team.complete(state, inputs))
         # The loss of a step has a slope of the order of one over the distance.
         distance = jnp.sqrt(distances.player_squares(state.estimates, state.game).sum(0))
         bound = without_gradient(1 / (self.envs * jnp.maximum(distance, distances.FLOOR)))
@@ -184,7 +179,8 @@ class Lesson:
             messages = _damp(state.received.messages, shrink, bound)
             state = state._replace(received=state.received._replace(messages=messages))
         logarithms = -distances.digits(distances.player_distances(state.estimates, state.game))
-        return (state, memory), jnp.where(state.diverged | self._stranger, 0.0, logarithms).mean()
+        is_out = state.diverged | self._team.is_teammate[:, None]
+        return (state, memory), jnp.where(is_out, 0.0, logarithms).mean()
 
 
 @jax.custom_vjp  # type: ignore[untyped-decorator]  # of JAX

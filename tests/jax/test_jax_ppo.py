@@ -110,23 +110,6 @@ def test_a_layered_file_with_weights_of_another_network_is_refused(tmp_path):
         load(tmp_path / "policy.npz", ptne_env.parallel_env("robots").layout)
 
 
-def test_teammates_follow_their_law_in_training_and_do_not_learn():
-    it = learner("mappo-rnn", scenario="small_suite:TEAMS/strangers", envs=2)
-    runner, expected = it.start(), ptne_env.jax.JaxWorld(it.track.scenario, interface="physical")
-    _, steps = jax.lax.scan(it._step, runner, jax.random.split(jax.random.key(1), 3))
-    assert steps.observations.shape == (3, it.layout.size, 8)
-    actions = steps.actions[0].reshape(5, 4, 2)
-    after = it._act(runner.state, steps.actions[0])
-    team = ptne_env.jax.static(expected.layout, kappa=0.4)
-    seen = expected.observe(runner.state)[:, 3]
-    theirs = jax.vmap(lambda row: team.act(team.params, row, ())[0], -1, -1)(seen)
-    theta = it.world.numpy.clock.theta[0]
-    moved = (after.estimates - runner.state.estimates) / theta
-    np.testing.assert_allclose(moved[:, 3], np.clip(theirs, -it.layout.input_limit, it.layout.input_limit), rtol=1e-4)
-    alone = it.world.inputs(runner.state, np.insert(actions, 3, 0, axis=1))
-    np.testing.assert_allclose(moved[:, [0, 1, 2, 4]], alone[:, [0, 1, 2, 4]], rtol=1e-6, atol=1e-9)
-
-
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_network_replays_a_rollout_with_its_memory_and_the_starts_of_episodes(algorithm):
     it = learner(algorithm)
