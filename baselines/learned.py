@@ -223,13 +223,14 @@ OUTSIDE = (
 def train(name: str, seeds: list[int], out: Path) -> None:
     """Train a recipe with several seeds, and replace the shipped file."""
     from ptne_env.training import through_world
+    from ptne_env.training.configuration import POLICY
 
     def show(done: int, total: int, digits: float) -> None:
         if done % 50 == 0:
             print(f"{name} {seed}: {done}/{total}, {digits:.3f} digits", flush=True)
 
     stage = GENERALIST.index(name) if name in GENERALIST else 0
-    start = str(out / GENERALIST[stage - 1] / "seed-0" / through_world.POLICY) if stage else ""
+    start = str(out / GENERALIST[stage - 1] / "seed-0" / POLICY) if stage else ""
     tracks = WORLDS + drawn(6) if name in GENERALIST else ()
     if stage:
         tracks = LATER_WORLDS + tracks

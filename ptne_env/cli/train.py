@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import numpy as np
@@ -84,7 +83,7 @@ def train(
     The same command resumes an interrupted run from its last checkpoint. With sb3-ppo and through the world, its policy
     differs from that of an uninterrupted run.
     """
-    from ptne_env.training.configuration import Configuration, read_finished_run
+    from ptne_env.training.configuration import POLICY, Configuration, read_finished_run
     from ptne_env.training.curve import draw, evaluate_laws
 
     if algorithm is not None and algorithm not in training.TRAINERS:
@@ -92,26 +91,25 @@ def train(
     values = {"seed": seed, "updates" if algorithm == "through-world" else "steps": steps}
     changes: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
     if algorithm == "through-world":
-        trainer = training.TRAINERS[algorithm].load()
-        first: Run = trainer.Settings(configuration, **changes)
+        trainer = training.TRAINERS[algorithm]
+        first: Run = trainer.load().Settings(configuration, **changes)
     else:
         changes |= {"algorithm": algorithm} if algorithm else {}
         first = Configuration.from_toml(configuration, **changes)
-        algorithm = first.algorithm
-        trainer = training.TRAINERS[algorithm].load()
+        trainer = training.TRAINERS[first.algorithm]
     options.require_trust(options.foreign_names(first.scenario), trust=trust)
     runs = {out: first}
     if seeds is not None:
         series = [replace(first, seed=first.seed + index) for index in range(seeds)]
         runs = {out / f"seed-{run.seed}": run for run in series}
     picture = out / "learning-curve.png"
-    check_writable(json, picture, *(folder / trainer.POLICY for folder in runs))
-    ended = [folder for folder, run in runs.items() if read_finished_run(run, folder, trainer.POLICY)]
+    check_writable(json, picture, *(folder / POLICY for folder in runs))
+    ended = [folder for folder, run in runs.items() if read_finished_run(run, folder)]
     summaries = _train(runs, trainer)
     objects = [asdict(summary) for summary in summaries.values()]
     write_json(json, objects[0] if seeds is None else objects)
     for folder, summary in summaries.items():
-        _say_result(folder / trainer.POLICY, summary, training.TRAINERS[algorithm], was_finished=folder in ended)
+        _say_result(folder / POLICY, summary, trainer, was_finished=folder in ended)
     digits = [summary.digits for summary in summaries.values()]
     if seeds is not None:
         say(f"Mean of {seeds} seeds: {sum(digits) / seeds:.2f} digits, from {min(digits):.2f} to {max(digits):.2f}")
@@ -124,26 +122,27 @@ def train(
         picture,
         title=f"Training of {configuration.removesuffix('.toml')}",
         steps=max(summary.agent_steps for summary in summaries.values()),
-        metric=trainer.CURVE,
+        metric=trainer.metric,
         laws=laws,
     )
     say(f"Learning curve written to {picture}")
-    trained = f"trained={out}/seed-*/{trainer.POLICY}" if seeds is not None else str(out / trainer.POLICY)
+    trained = f"trained={out}/seed-*/{POLICY}" if seeds is not None else str(out / POLICY)
     say(f"To compare:  ptne compare {first.scenario} --policy {shlex.quote(f'static,{trained}')}")
 
 
-def _train(runs: Mapping[Path, Run], trainer: ModuleType) -> dict[Path, RunSummary]:
+def _train(runs: Mapping[Path, Run], trainer: training.Trainer) -> dict[Path, RunSummary]:
     """Train one run after the other, with a progress bar for all of them, and return their summaries."""
     summaries: dict[Path, RunSummary] = {}
+    train_one = trainer.load().train
     with progress("training") as advance:
         for folder, configuration in runs.items():
 
             def show(done: int, total: int, digits: float, seed: int = configuration.seed) -> None:
                 place = "training" if len(runs) == 1 else f"training seed {seed}"
-                now = f"{place}, {digits:.2f} {METRICS[trainer.CURVE].label}" if digits > float("-inf") else place
+                now = f"{place}, {digits:.2f} {METRICS[trainer.metric].label}" if digits > float("-inf") else place
                 advance(len(summaries) * total + min(done, total), len(runs) * total, now)
 
-            summaries[folder] = trainer.train(configuration, folder, show)
+            summaries[folder] = train_one(configuration, folder, show)
     return summaries
 
 

@@ -20,6 +20,7 @@ class Trainer(NamedTuple):
         extra: the extra that it needs.
         unit: what its runs are counted in.
         episodes: those of which its summaries have the digits.
+        metric: the metric of its learning curves.
         resumes_exactly: whether a resumed run ends as if it had not been interrupted.
     """
 
@@ -27,6 +28,7 @@ class Trainer(NamedTuple):
     extra: str
     unit: str = "agent-steps"
     episodes: str = "validation"
+    metric: str = "digits"
     resumes_exactly: bool = False
 
     def load(self) -> ModuleType:
@@ -39,7 +41,7 @@ class Trainer(NamedTuple):
 
 TRAINERS = {
     **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), Trainer("jax_ppo", "jax", resumes_exactly=True)),
-    "sb3-ppo": Trainer("ppo", "sb3"),
+    "sb3-ppo": Trainer("ppo", "sb3", metric="digits_gained"),
     "through-world": Trainer("through_world", "jax", unit="updates", episodes="last"),
 }
 """The algorithms, and what trains with each."""

@@ -22,8 +22,8 @@ from ptne_env.world.catalogue import scenario_names
 ALGORITHMS = tuple(name for name, trainer in TRAINERS.items() if trainer.unit == "agent-steps")
 """The algorithms of a configuration, which counts agent-steps."""
 
-LARGEST_CHECKPOINT = 1 << 30
-"""The largest number of bytes of a checkpoint that is read."""
+POLICY = "policy.npz"
+"""The name of the file of a policy in the folder of its run."""
 
 
 @dataclass(frozen=True)
@@ -142,16 +142,11 @@ class RunSummary:
     digits: float
 
 
-def read_finished_run(configuration: Any, out: Path, policy: str) -> RunSummary | None:
+def read_finished_run(configuration: Any, out: Path) -> RunSummary | None:
     """Read the summary of a finished run in a folder; ``None`` if it holds no run, or one that is unfinished.
 
-    Args:
-        configuration: the definition of the run, a dataclass.
-        out: the folder.
-        policy: the name of the file of the policy, which a finished run has.
-
     Raises:
-        ValueError: when the folder holds a run of another configuration.
+        ValueError: when the folder holds a run of another ``configuration``, a dataclass.
     """
     path = out / "configuration.json"
     if not path.exists():
@@ -163,7 +158,7 @@ def read_finished_run(configuration: Any, out: Path, policy: str) -> RunSummary 
         differences = ", ".join(f"{name} is {theirs.get(name)} there and {mine.get(name)} here" for name in different)
         raise ValueError(f"{out} holds another run: {differences}; choose another folder, or remove this one")
     summary = out / "summary.json"
-    if not (summary.exists() and (out / policy).exists()):
+    if not (summary.exists() and (out / POLICY).exists()):
         return None
     return RunSummary(**read_json(summary, "the summary of a training run"))
 
@@ -184,7 +179,7 @@ def read_checkpoint(path: Path, first: Sequence[Any]) -> Sequence[Any]:
     if not path.exists():
         return first
     try:
-        with np.load(io.BytesIO(read_file(path, LARGEST_CHECKPOINT))) as file:
+        with np.load(io.BytesIO(read_file(path, largest=1 << 30))) as file:
             arrays = [file[name] for name in file.files]
     except Exception as error:  # zip files raise many classes
         raise DamagedFileError(f"{path} is damaged, or no checkpoint: remove it to start again ({error})") from error

@@ -41,6 +41,7 @@ from ptne_env.learn.npz_policy import open_policy, seal
 from ptne_env.perception.fields import LOG_SCALE_UNIT
 from ptne_env.shared.files import write_atomically
 from ptne_env.training.configuration import (
+    POLICY,
     Configuration,
     RunSummary,
     read_checkpoint,
@@ -51,12 +52,6 @@ from ptne_env.training.configuration import (
 from ptne_env.training.curve import validate, write_learning_curve
 from ptne_env.training.team import Team
 from ptne_env.world.dynamics import State
-
-POLICY, CHECKPOINT = "policy.npz", "checkpoint.npz"
-"""The names of the files of the policy and of the last checkpoint."""
-
-CURVE = "digits"
-"""The metric of the learning curve."""
 
 EVALUATIONS, EPISODES = 20, 50
 """The number of evaluations, and of checkpoints, in a run; and the validation episodes of each."""
@@ -325,13 +320,14 @@ def train(
         ValueError: for values that do not fit each other, for an unknown scenario, when ``out`` holds a run with
             another configuration or a damaged one, and when the trained policy fails on a validation episode.
     """
-    if (ended := read_finished_run(configuration, out, POLICY)) is not None:
+    checkpoint = out / "checkpoint.npz"
+    if (ended := read_finished_run(configuration, out)) is not None:
         return ended
     jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
     began = monotonic()
     learner = Learner(configuration)
     leaves, structure = jax.tree.flatten(learner.start())
-    curve, *leaves = read_checkpoint(out / CHECKPOINT, [np.empty((0, EPISODES)), *leaves])
+    curve, *leaves = read_checkpoint(checkpoint, [np.empty((0, EPISODES)), *leaves])
     runner = jax.tree.unflatten(structure, map(jnp.asarray, leaves))
     write_record(out / "configuration.json", configuration)
     chunk = learner.updates_per_chunk * configuration.rollout * learner.members
@@ -339,7 +335,7 @@ def train(
     while len(curve) < learner.chunks:
         runner = learner.train_chunk(runner)
         curve = np.append(curve, [learner.evaluate(runner.average)], axis=0)
-        write_checkpoint(out / CHECKPOINT, [curve, *jax.tree.leaves(runner)])
+        write_checkpoint(checkpoint, [curve, *jax.tree.leaves(runner)])
         write_learning_curve(out, np.arange(1, len(curve) + 1) * chunk, curve)
         if progress is not None:
             progress(len(curve) * chunk, learner.chunks * chunk, float(curve[-1].mean()))

@@ -20,7 +20,7 @@ import numpy as np
 import stable_baselines3
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback, CheckpointCallback, EvalCallback
+from stable_baselines3.common.callbacks import CheckpointCallback, ConvertCallback, EvalCallback
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.utils import LinearSchedule
 from torch import nn
@@ -32,18 +32,12 @@ from ptne_env.learn.npz_policy import open_policy, seal
 from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.files import require_file, write_atomically
-from ptne_env.training.configuration import Configuration, RunSummary, read_finished_run, write_record
+from ptne_env.training.configuration import POLICY, Configuration, RunSummary, read_finished_run, write_record
 from ptne_env.training.curve import validate
 from ptne_env.world.catalogue import get_scenario
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
-
-POLICY = "policy.npz"
-"""The name of the file of the policy."""
-
-CURVE = "digits_gained"
-"""The metric of the learning curve."""
 
 Progress = Callable[[int, int, float], None]
 """A function of the agent-steps done, their total, and the mean digits gained in the last evaluation (-inf before)."""
@@ -69,7 +63,7 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
         ValueError: for values that do not fit each other, for an unknown scenario, when ``out`` holds a run with
             another configuration or a damaged one, and when the trained policy fails on a validation episode.
     """
-    if (ended := read_finished_run(configuration, out, POLICY)) is not None:
+    if (ended := read_finished_run(configuration, out)) is not None:
         return ended
     began = monotonic()
     torch.set_num_threads(1)  # the networks are small: a second thread costs more time than it saves
@@ -79,7 +73,8 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     checkpoints = out / "checkpoints"
     model.num_timesteps = resumed_at = _restore(model, checkpoints)
     write_record(out / "configuration.json", configuration)
-    rollouts = -(-configuration.steps // (configuration.rollout * env.num_envs))  # the last one is a whole one
+    samples = configuration.rollout * env.num_envs
+    rollouts = -(-configuration.steps // samples)  # the last one is a whole one
     calls = -(-rollouts * configuration.rollout // EVALUATIONS)  # steps of all environments together
     evaluation = EvalCallback(
         PlayerVecEnv(scenario, GAMES, seed=1_000_000),
@@ -88,7 +83,13 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
         log_path=str(out),
         verbose=0,
     )
-    callbacks = [CheckpointCallback(calls, str(checkpoints)), evaluation, _Report(configuration, evaluation, progress)]
+
+    def report(*_: Any) -> bool:
+        if progress is not None and (model.num_timesteps - resumed_at) % samples == 0:
+            progress(model.num_timesteps, configuration.steps, evaluation.last_mean_reward)
+        return True
+
+    callbacks = [CheckpointCallback(calls, str(checkpoints)), evaluation, ConvertCallback(report)]
     if configuration.steps > resumed_at:
         model.learn(configuration.steps - resumed_at, callback=callbacks, reset_num_timesteps=False)
 
@@ -132,21 +133,6 @@ def _restore(model: PPO, checkpoints: Path) -> int:
             model.set_parameters(str(done[steps]), device="cpu")
             return steps
     return 0
-
-
-class _Report(BaseCallback):
-    """A callback that reports the progress after every rollout."""
-
-    def __init__(self, configuration: Configuration, evaluation: EvalCallback, progress: Progress | None) -> None:
-        super().__init__()
-        self._steps, self._evaluation, self._progress = configuration.steps, evaluation, progress
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_end(self) -> None:
-        if self._progress is not None:
-            self._progress(self.num_timesteps, self._steps, self._evaluation.last_mean_reward)
 
 
 def export(model: BaseAlgorithm, layout: ObservationLayout, **training: Any) -> bytes:

@@ -40,17 +40,11 @@ from ptne_env.learn.recurrent import (
 )
 from ptne_env.shared.arrays import require_count, require_positive, require_probability, without_gradient
 from ptne_env.shared.files import write_atomically
-from ptne_env.training.configuration import RunSummary, read_finished_run, write_record
+from ptne_env.training.configuration import POLICY, RunSummary, read_finished_run, write_record
 from ptne_env.training.curve import write_learning_curve
 from ptne_env.training.team import Team
 from ptne_env.world import distances
 from ptne_env.world.catalogue import get_scenario
-
-POLICY = "policy.npz"
-"""The name of the file of the policy."""
-
-CURVE = "digits"
-"""The metric of the learning curve."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +219,7 @@ def train(
         ValueError: for an unknown scenario, when ``out`` holds a run with other settings or a damaged one, or when
             ``start`` is a network of other sizes or without memory.
     """
-    if (ended := read_finished_run(settings, out, POLICY)) is not None:
+    if (ended := read_finished_run(settings, out)) is not None:
         return ended
     jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
     began = saved = monotonic()
