@@ -23,8 +23,10 @@ def certify(
     law: Annotated[
         str,
         typer.Option(
-            help="A law by name, such as static or grounded, or a 'module:object', which runs its own code and is "
-            "called with the layout.",
+            "--law",
+            "--policy",
+            help="A law by name, such as static or static(kappa=4), or a 'module:object', which runs its own code and "
+            "is called with the layout.",
             autocompletion=lambda: list(POLICIES),
         ),
     ] = "static",

@@ -60,11 +60,11 @@ def compare(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="A policy by name, an .npz file, a Stable-Baselines3 .zip, a 'module:object' that is called "
-            "with the layout and returns something with predict(), or 'name=pattern' for the files of several training "
-            "seeds. Separate policies by commas, or repeat the option. If left out: every policy that 'ptne list' "
-            "shows but specialists; on scenarios, the paper's laws, references, the strongest laws and learned "
-            "policies.",
+            help="A policy by name, as static or static(kappa=4), an .npz file, a Stable-Baselines3 .zip, a "
+            "'module:object' that is called with the layout and returns something with predict(), or 'name=pattern' "
+            "for the files of several training seeds. Separate policies by commas, or repeat the option. If left out: "
+            "every policy that 'ptne list' shows but specialists; on scenarios, the paper's laws, references, the "
+            "strongest laws and learned policies.",
             autocompletion=_complete_policy,
         ),
     ] = None,
@@ -106,7 +106,7 @@ def compare(
     training seeds.
     """
     suite, places = _split_names(suite, scenario or [])
-    names = [name for value in policy or () for name in value.split(",") if name]
+    names = options.split_policies(policy or ())
     if policy and not names:
         raise ValueError("--policy names no policy: leave it out for the usual ones; 'ptne list policies' shows all")
     trust = options.require_trust(options.foreign_names(suite, *places, *names), trust=trust)

@@ -12,6 +12,7 @@ import typer
 
 from ptne_env.cli.console import keep_stdout
 from ptne_env.evaluation import POLICIES
+from ptne_env.evaluation.policy_spec import read_call
 from ptne_env.shared.parts import foreign_targets, is_part
 from ptne_env.world.catalogue import get_scenario, scenario_names
 from ptne_env.world.scenario import Scenario
@@ -29,7 +30,8 @@ PolicyArgument: TypeAlias = Annotated[
     str,
     typer.Argument(
         metavar="POLICY",
-        help="A policy by name, or an .npz file; a Stable-Baselines3 .zip and a 'module:object' run their own code.",
+        help="A policy by name, as static or static(kappa=4), or an .npz file; a Stable-Baselines3 .zip and a "
+        "'module:object' run their own code.",
         autocompletion=lambda: list(POLICIES),
     ),
 ]
@@ -81,13 +83,26 @@ def read_scenario(name: str, changes: Iterable[str] | None, *, trust: bool) -> S
     return get_scenario(scenario, **{"name": " ".join([scenario.name, *(changes or ())]), **values})
 
 
+def split_policies(values: Iterable[str]) -> list[str]:
+    """Return the names in values of ``--policy``, at whose commas they are split, but within parentheses."""
+    names: list[str] = []
+    for part in [part for value in values for part in value.split(",")]:
+        if names and names[-1].count("(") > names[-1].count(")"):
+            names[-1] += f",{part}"
+        else:
+            names.append(part)
+    return [name for name in names if name]
+
+
 def foreign_names(*names: str | None) -> list[str]:
     """Return the names, as commands take them, that run code from outside the library, without importing anything.
 
     They are each ``"module:object"`` (with tracks, ``"module:object/track"``) and each archive.
     """
     foreign = []
-    for name in filter(None, names):
+    for text in filter(None, names):
+        name, arguments = read_call(text) or (text, {})
+        foreign += foreign_targets(arguments)
         path = name.partition("=")[2] or name
         target = name.partition("/")[0]
         if path.endswith(".zip"):

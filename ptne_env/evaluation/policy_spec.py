@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import glob
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from inspect import signature
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -265,12 +268,13 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
         policy: a name of :data:`POLICIES`, an ``.npz`` file, a Stable-Baselines3 ``.zip``, the id of a
             law (``"law:grounded"``) or a ``"module:object"`` that is called with the layout, or ``"name=pattern"``
             (such as ``"mine=runs/seed-*/policy.npz"``), whose files are the training seeds of one policy; or an object
-            or class with ``predict``, whose class gives the name.
+            or class with ``predict``, whose class gives the name. Arguments of what is no file may follow in
+            parentheses, as in ``"static(kappa=4)"``.
         trust: whether code that is stored in a ``.zip`` may be executed.
 
     Raises:
-        ValueError: for an unknown name, an object that is none of these, a ``"module:object"`` that cannot be
-            imported, a file of another format, or a ``.zip`` that is not trusted.
+        ValueError: for an unknown name or argument, an object that is none of these, a ``"module:object"`` that cannot
+            be imported, a file of another format, or a ``.zip`` that is not trusted.
         FileNotFoundError: when there is no such file, or a pattern matches none.
         PolicyFileError, ImportError: as :func:`ptne_env.learn.load` raises them.
     """
@@ -286,17 +290,50 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
         )
     if policy in POLICIES:
         return POLICIES[policy]
-    name, separator, pattern = policy.partition("=")
-    if separator and name and Path(name).name == name and not Path(policy).is_file():
+    call, (name, separator, pattern) = read_call(policy), policy.partition("=")
+    if call is None and separator and name and Path(name).name == name and not Path(policy).is_file():
         paths = sorted(glob.glob(pattern))  # noqa: PTH207 - it may be absolute
         if not paths:
             raise FileNotFoundError(f"there is no file {pattern!r}, which '{policy}' asks for")
         return PolicySpec(name, tuple(_spec_of_file(path, trust=trust) for path in paths))
     if any(policy.endswith(each.endings) for each in FORMATS):
         return PolicySpec(Path(policy).stem, _spec_of_file(policy, trust=trust))
-    if ":" in policy:
-        return PolicySpec(policy, FactorySpec.of(policy))
+    if call is not None or ":" in policy:
+        return PolicySpec(policy, FactorySpec.of(policy) if call is None else _with_arguments(*call))
     raise ValueError(unknown_name("policy", policy, POLICIES, "an .npz file or a 'module:object'"))
+
+
+def read_call(text: str) -> tuple[str, dict[str, Any]] | None:
+    """Return the name and the arguments of a text such as ``"static(kappa=4)"``; ``None`` for one without arguments.
+
+    Raises:
+        ValueError: when the arguments are no constants with names.
+    """
+    if (parts := re.fullmatch(r"([^()=]+)\((.*)\)", text)) is None:
+        return None
+    try:
+        call = ast.parse(f"_({parts[2]})", mode="eval").body
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and not call.args:
+            return parts[1], {str(each.arg): ast.literal_eval(each.value) for each in call.keywords}
+    except (SyntaxError, ValueError):
+        pass
+    raise ValueError(f"arguments of a policy are written as in 'static(kappa=4)', got {text!r}")
+
+
+def _with_arguments(name: str, arguments: Mapping[str, Any]) -> FactorySpec:
+    """Return the factory spec of a named policy with other arguments.
+
+    Raises:
+        ValueError: for an unknown policy or argument.
+    """
+    source = get_policy_spec(name).training_seeds[0]
+    if not isinstance(source, FactorySpec) or format_of(source):
+        raise ValueError(f"policy {name!r} is a file and takes no arguments")
+    known = [parameter for parameter in signature(resolve(source.target)).parameters if parameter != "layout"]
+    for argument in arguments:
+        if argument not in known:
+            raise ValueError(unknown_name(f"argument of {name}", argument, known))
+    return FactorySpec.of(source.target, **{**dict(source.arguments), **arguments})
 
 
 def _spec_of_file(path: str, *, trust: bool) -> FactorySpec:
@@ -307,7 +344,7 @@ def _spec_of_file(path: str, *, trust: bool) -> FactorySpec:
         raise ValueError(f"{path!r} is no policy: policy files end in .npz or .zip")
     if formats[0].executes_code and not require_flag("trust", trust):
         raise ValueError(
-            f"loading {path!r} executes code that is stored in it; if you trust it: "
-            f"ptne_env.evaluation.get_policy_spec({path!r}, trust=True)"
+            f"loading {path!r} executes code that is stored in it; if you trust it, say trust=True (--trust on the "
+            "command line)"
         )
     return formats[0].spec(path)

@@ -14,7 +14,7 @@ from ptne_env.evaluation.policy_spec import PolicySpec, get_policy_spec
 from ptne_env.laws import Law, Static
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.shared.parts import FactorySpec
+from ptne_env.shared.parts import FactorySpec, is_part
 from ptne_env.theory.assumptions import AssumptionCheck, check_assumptions
 from ptne_env.theory.closed_loop import (
     LoopClock,
@@ -43,7 +43,7 @@ class Certificate:
 
     Attributes:
         scenario: the name of the scenario.
-        law: the class of the law and its arguments.
+        law: the law and its arguments, as :func:`~ptne_env.evaluation.get_policy_spec` takes them.
         assumptions: Lemma 1 and Assumptions 1–4 of the paper, each with the number that decides it.
         condition: the condition of the law's theorem, sufficient for convergence; ``None`` without a theorem.
         clock: ``"effective"``, or ``"physical"`` for a law that undoes the time gain.
@@ -148,8 +148,9 @@ def _spec(law: str | FactorySpec | PolicySpec | type[Law]) -> PolicySpec:
 def _describe(spec: PolicySpec) -> str:
     if not isinstance(spec.policy, FactorySpec):
         return spec.name
-    arguments = ", ".join(f"{name}={value}" for name, value in spec.policy.to_dict()["arguments"].items())
-    return f"{spec.policy.target.rpartition(':')[2]}({arguments})"
+    arguments = ", ".join(f"{name}={value!r}" for name, value in spec.policy.to_dict()["arguments"].items())
+    target = spec.policy.target
+    return f"{target.rpartition(':')[2] if is_part(target) else target}({arguments})"
 
 
 def _faults(world: World) -> list[str]:

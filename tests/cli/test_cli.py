@@ -346,7 +346,7 @@ def test_certify_prints_the_numbers_of_the_paper_and_json(run, tmp_path):
         assert text in printed
     data = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert data["rate"] == pytest.approx(0.280, abs=5e-4)
-    assert "kappa=2.0" in run("certify energy --law grounded").out
+    assert "grounded(kappa=4)" in run("certify energy --policy grounded(kappa=4)").out
     assert "energy gain=2 start=paper: static" in run("certify energy --set gain=2 --set start=paper").out
 
 
@@ -356,7 +356,7 @@ def test_render_writes_a_page(run, tmp_path):
 
 
 def test_verify_exits_with_1_when_a_published_number_is_changed(run, tmp_path):
-    assert run("compare energy --policy static,grounded --episodes 3 --jobs 1 --no-report --out out").code == 0
+    assert run("compare energy --policy static(kappa=4),grounded --episodes 3 --jobs 1 --no-report --out out").code == 0
     outcome = run("verify out")
     assert outcome.code == 0, outcome.err
     assert "reproduces" in outcome.out

@@ -8,7 +8,7 @@ import pytest
 from small_suite import BASE
 
 import ptne_env
-from ptne_env import FactorySpec, Interface, PolicySpec, evaluate, laws
+from ptne_env import FactorySpec, Interface, PolicySpec, evaluate, laws, theory
 from ptne_env.evaluation import COMPARED, POLICIES, get_policy_spec
 from ptne_env.evaluation.comparison import as_list
 from ptne_env.learn import shipped_path
@@ -65,6 +65,41 @@ def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch)
     (tmp_path / "evil.py").touch()
     with pytest.raises(ValueError, match="policy files end in .npz or .zip"):
         get_policy_spec("mine=*.py")
+
+
+@pytest.mark.parametrize(
+    ("text", "spec"),
+    [
+        ("static(kappa=4)", FactorySpec.of("law:static", kappa=4)),
+        ("static-tuned(kappa=4, )", FactorySpec.of("law:static", kappa=4, gradient_gain=2.94)),
+        ("relay()", FactorySpec.of("law:relay")),
+        ("law:static(kappa=4.5)", FactorySpec.of("law:static", kappa=4.5)),
+        (
+            "law:coded(policy={'target': 'law:static'})",
+            FactorySpec.of("law:coded", policy=FactorySpec.of("law:static")),
+        ),
+    ],
+)
+def test_arguments_follow_a_name_in_parentheses(text, spec):
+    assert get_policy_spec(text) == PolicySpec(text, spec)
+
+
+@pytest.mark.parametrize("law", ["static", "static-tuned", "gadjov-pavel", "adaptive", "fixed-time"])
+def test_the_law_that_a_certificate_prints_is_the_name_of_the_same_policy(law):
+    assert get_policy_spec(theory.certify("energy", law).law).policy == POLICIES[law].policy
+
+
+def test_a_dictionary_names_policies_and_archives_are_trusted_by_an_argument(tmp_path):
+    policies = {"mine": laws.Static, "paper": "static", "other": PolicySpec("grounded", laws.Grounded)}
+    results = evaluate(policies, BASE, episodes=1)
+    assert list(results.policies) == ["mine", "paper", "other"]
+    mine, paper = (results.samples[BASE.name, name]["digits"] for name in ("mine", "paper"))
+    np.testing.assert_array_equal(mine, paper)
+    (tmp_path / "model.zip").touch()
+    with pytest.raises(ValueError, match="say trust=True"):
+        evaluate({"mine": tmp_path / "model.zip"}, BASE)
+    with pytest.raises((ValueError, ImportError), match=r"not an archive|ptne-env\[sb3\]"):
+        evaluate({"mine": tmp_path / "model.zip"}, BASE, trust=True)
 
 
 @pytest.mark.parametrize(
