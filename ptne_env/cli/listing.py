@@ -13,7 +13,7 @@ from rich.text import Text
 from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, console, write_json
-from ptne_env.evaluation import METRICS, POLICIES
+from ptne_env.evaluation import METRICS, OPTIONAL, POLICIES
 from ptne_env.evaluation.tracks import get_suite
 from ptne_env.shared.parts import names_of
 from ptne_env.world.catalogue import CATALOGUE, DESCRIPTIONS
@@ -44,9 +44,10 @@ def _entries(kind: Kind) -> Iterator[tuple[str, str, str]]:
                 arguments = ", ".join(f"{name} = {value}" for name, value in source["arguments"].items())
                 yield spec.name, spec.description, f"{source['target']} {arguments}".strip()
         case Kind.METRICS:
-            for name, metric in METRICS.items():
+            for name, metric in (METRICS | OPTIONAL).items():
                 better = metric.direction and f"{metric.direction} is better"
-                yield name, metric.meaning, ", ".join(filter(None, (metric.unit, better)))
+                asked = "where registered" if name in OPTIONAL else None
+                yield name, metric.meaning, ", ".join(filter(None, (metric.unit, better, asked)))
         case Kind.SUITES:
             for name in names_of("suite"):
                 yield from ((f"{name}/{track.name}", track.change, "") for track in get_suite(name).tracks)

@@ -12,6 +12,7 @@ from ptne_env.evaluation.comparison import evaluate as evaluate
 from ptne_env.evaluation.episodes import EpisodeSet as EpisodeSet
 from ptne_env.evaluation.episodes import episode_seed as episode_seed
 from ptne_env.evaluation.metrics import METRICS as METRICS
+from ptne_env.evaluation.metrics import OPTIONAL as OPTIONAL
 from ptne_env.evaluation.metrics import Metric as Metric
 from ptne_env.evaluation.metrics import register as register
 from ptne_env.evaluation.named_policies import COMPARED as COMPARED

@@ -219,4 +219,12 @@ for _metric in (
            range=_POSITIVE),
 ):
     register(_metric)
+
+OPTIONAL = {metric.name: metric for metric in (
+    Metric("messages", "messages", "messages to the deadline, one per link, direction and step", "lower",
+           "At what cost", lambda rollout: ordered_sum(rollout["messages"]), range=_POSITIVE),
+    Metric("new_messages", "new messages", "messages that the same link did not carry in the step before", "lower",
+           "At what cost", lambda rollout: ordered_sum(rollout["new_messages"]), range=_POSITIVE),
+)}
+"""Metrics that are measured where :func:`register` adds them, and so change no published result."""
 # fmt: on

@@ -28,8 +28,9 @@ class Rollout:
 
     Attributes:
         world: the world of the episodes.
-        series: the series by name, as :func:`record_instant`, :func:`record_regret` and :func:`record_step` record
-            them, of shape (instants, B), (instants of regrets, B) and (steps to the deadline, B).
+        series: the series by name, as :func:`record_instant`, :func:`record_regret`, and :func:`record_step` and
+            :func:`record_messages` record them, of shape (instants, B), (instants of regrets, B) and (steps to the
+            deadline, B).
         diverged: whether the episode left the range, shape (B,).
         seconds_per_decision: the wall time of the policy per player and step.
     """
@@ -91,6 +92,19 @@ def record_step(world: World, state: State, inputs: FloatArray, step: int) -> di
         "saturated": (magnitudes >= limit).sum(axis=(0, 1)),
         "components": acting * magnitudes[..., 0].size,
     }
+
+
+def record_messages(world: World, before: State | None, state: State) -> dict[str, FloatArray]:
+    """Return the messages that links carry at an instant, and the new ones among them.
+
+    A message is new unless the same link carried the same estimates one step ``before``.
+    """
+    shape = *world.neighbours.shape, dynamics.batch_size(state)
+    new = up = np.broadcast_to(dynamics.graph_weights(world, state) > 0, shape)
+    if before is not None:
+        moved = (state.estimates != before.estimates).any(axis=0)
+        new = up & (moved[world.neighbours] | (dynamics.graph_weights(world, before) == 0))
+    return {"messages": up.sum(axis=(0, 1)), "new_messages": new.sum(axis=(0, 1))}
 
 
 class Member:
@@ -189,7 +203,7 @@ def rollout(
     member = Member(policy, encoder, [player for player in players if player not in taken], witnesses)
     series: dict[str, list[FloatArray]] = {}
     instants = set(regret_instants(world).tolist())
-    state = start
+    before, state = None, start
     for step in range(clock.total_steps + 1):
         inputs = member.decide(state) if step < clock.total_steps else None
         if teammates is not None and inputs is not None:
@@ -200,11 +214,11 @@ def rollout(
         if step in instants:
             numbers |= record_regret(state)
         if inputs is not None and step < clock.steps:
-            numbers |= record_step(world, state, inputs, step)
+            numbers |= record_step(world, state, inputs, step) | record_messages(world, before, state)
         for name, values in numbers.items():
             series.setdefault(name, []).append(values)
         if inputs is not None:
-            state = dynamics.step(world, state, inputs)
+            before, state = state, dynamics.step(world, state, inputs)
     arrays = {name: np.array(values, dtype=np.float64) for name, values in series.items()}
     seconds = member.seconds / (clock.total_steps * len(member.players) * batch)
     return Rollout(world, arrays, state.diverged, seconds)

@@ -139,8 +139,8 @@ class Runner:
         if store is not None and missing:
             require_writable(store.path("0"))
         missing.sort(key=lambda index: -cost_of(jobs[index]))  # long jobs first, so that no core waits for the last one
-        own = {name: metric for name, metric in METRICS.items() if metric.is_own}
-        for place, result in self.workers.run(_run_job, [(jobs[index], key_of(jobs[index]), own) for index in missing]):
+        tasks = [(jobs[index], key_of(jobs[index]), METRICS) for index in missing]
+        for place, result in self.workers.run(_run_job, tasks):
             if store is not None:
                 store.save(jobs[missing[place]], result)
             finish(missing[place], result)
@@ -157,7 +157,7 @@ def cost_of(job: Job) -> int:
 
 
 def _run_job(job: Job, key: str | None, metrics: dict[str, Metric]) -> JobResult:
-    """Run a job on a worker, with the metrics that the user registered."""
+    """Run a job on a worker, with the metrics of the process that asks."""
     METRICS.update(metrics)
     if key is not None and key_of(job) != key:  # libraries or files differ there
         raise ValueError(

@@ -9,7 +9,7 @@ import pytest
 import ptne_env
 from ptne_env import PolicySpec, evaluate, laws
 from ptne_env.evaluation.episodes import EpisodeSet, episode_seed
-from ptne_env.evaluation.metrics import measure, settling_time
+from ptne_env.evaluation.metrics import OPTIONAL, measure, settling_time
 from ptne_env.evaluation.rollout import Rollout, rollout
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.observation import Interface
@@ -194,6 +194,33 @@ def test_ctrl_c_within_a_policy_ends_the_run():
 
     with pytest.raises(KeyboardInterrupt):
         evaluate(PolicySpec("mine", Answering(interrupted)), "energy", episodes=1)
+
+
+@pytest.mark.parametrize("name", ["energy-switching", "random-energy-switching"])
+def test_a_message_is_new_unless_the_link_carried_the_same_estimates_in_the_step_before(name):
+    class Halting(laws.Static):
+        """Moves in every third step."""
+
+        def inputs(self, observation, memory):
+            inputs, memory = super().inputs(observation, memory)
+            return np.where(np.round(observation.elapsed * 30) % 3 == 0, inputs, 0.0), memory
+
+    world, batch = run(ptne_env.get_scenario(name, steps=30, spacing="physical"), Halting, episodes=3)
+    env = ptne_env.parallel_env(world.scenario, interface="physical")
+    law = Halting(env.layout)
+    for episode in range(3):
+        observations, _ = env.reset(seed=episode_seed(3, episode))
+        sent, new, carried = 0, 0, {}
+        while env.agents:
+            graph = world.topology.graphs[world.modes[env.get_state().step[0]]].adjacency
+            links, estimates = zip(*np.nonzero(graph), strict=True), env.estimates
+            before, carried = carried, {(i, j): tuple(estimates[j]) for i, j in links}
+            sent += len(carried)
+            new += sum(before.get(link) != message for link, message in carried.items())
+            actions, _ = law.predict(np.stack(list(observations.values())))
+            observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
+        assert 0 < new < sent
+        assert [OPTIONAL[metric].value(batch)[episode] for metric in ("messages", "new_messages")] == [sent, new]
 
 
 def test_settling_time_is_the_first_instant_after_which_the_distance_stays_inside():

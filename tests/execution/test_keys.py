@@ -7,7 +7,7 @@ import pytest
 from small_suite import BASE, COMPLETE
 
 from ptne_env import FactorySpec, PolicySpec, laws, parallel_env
-from ptne_env.evaluation import METRICS, EpisodeSet, Metric, Track, get_policy_spec, register
+from ptne_env.evaluation import METRICS, OPTIONAL, EpisodeSet, Metric, Track, get_policy_spec, register
 from ptne_env.evaluation.comparison import Job
 from ptne_env.execution import runner
 from ptne_env.execution.runner import content_of, key_of
@@ -69,3 +69,13 @@ def test_a_job_with_code_of_the_user_has_no_key():
         assert key_of(JOB) is None
     finally:
         del METRICS["own"]
+
+
+def test_a_shipped_metric_that_is_registered_is_stored_under_another_key(monkeypatch):
+    before = key_of(JOB)
+    monkeypatch.setitem(METRICS, "messages", OPTIONAL["messages"])
+    assert key_of(JOB) not in (None, before)
+    world, messages = JOB.track.world, JOB.compute().samples["messages"]
+    assert set(messages) == {world.clock.steps * np.count_nonzero(world.topology.union.adjacency)}
+    monkeypatch.delitem(METRICS, "messages")
+    assert key_of(JOB) == before
