@@ -329,7 +329,7 @@ def table(out: Path) -> None:
         f"- It leads the best law on {len(leads)} of {len(shares)} scored tracks, the interval of their difference\n"
         f"  in the same episodes being clear of 0: {', '.join(leads)}.\n"
         f"- Mean over scored tracks of its digits over those of the best law: {np.mean([*shares.values()]):.3f}.\n"
-        f"- 50 players, after training with at most 12: {shares['crowd-50']:.2f} of the digits of the best law."
+        f"- 54 players, after training with at most 12: {shares['market-118']:.2f} of the digits of the best law."
     )
     write_atomically(Path(__file__).with_suffix(".md"), TEXT.format(*parts, limit("random-energy-switching")))
 

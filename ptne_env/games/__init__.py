@@ -17,6 +17,8 @@ from ptne_env.games.literature import NetworkedCournot as NetworkedCournot
 from ptne_env.games.literature import Oligopoly as Oligopoly
 from ptne_env.games.literature import RateControl as RateControl
 from ptne_env.games.literature import WeaklyMonotoneGame as WeaklyMonotoneGame
+from ptne_env.games.market import CournotMarket as CournotMarket
+from ptne_env.games.market import Market118 as Market118
 from ptne_env.games.non_quadratic import NonQuadraticGame as NonQuadraticGame
 from ptne_env.games.saturating import RandomSaturating as RandomSaturating
 from ptne_env.games.saturating import SaturatingGame as SaturatingGame

@@ -130,14 +130,18 @@ TRACKS = (
         episodes=6,
     ),
     _track(
-        "crowd-50",
-        "50 players on a circulant graph of degree 4, their total coupling that of five.",
-        game=part("game:random-energy", players=50, coupling=(0.005, 0.03)),
-        topology=part("topology:circulant", players=50, offsets=(1, 7)),
+        "market-118",
+        "The 54 generators of the IEEE 118-bus case sell power at a price that falls with the total.",
+        game="market-118",
+        topology=part("topology:market-118"),
+        start=part("start:uniform", low=0.0, high=100.0),  # the smallest capacity is 100 MW
+        input_limit=20_000.0,
+        channel=_noisy(0.01),
+        message_range=15 * RANGE,  # outputs are up to 470 MW
         slots=None,
-        gain=5.0,
+        gain=2.0,
         steps=200,
-        episodes=6,
+        episodes=4,
     ),
 )
 

@@ -10,6 +10,7 @@ import networkx as nx
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
+from ptne_env.games.market import generators
 from ptne_env.shared.arrays import FloatArray, freeze, require_count
 from ptne_env.shared.parts import Part
 
@@ -130,6 +131,11 @@ def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:
         i, j = edge
         matrix[i, j] = matrix[j, i] = 1
     return Graph(matrix)
+
+
+def market_118() -> Graph:
+    """Return the graph of the 54 generators of the IEEE 118-bus case; see :func:`ptne_env.games.market.generators`."""
+    return Graph(generators()["adjacency"])
 
 
 def from_networkx(graph: nx.Graph[int]) -> Graph:

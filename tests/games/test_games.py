@@ -7,6 +7,7 @@ from sample_games import BlockGame
 from ptne_env import theory
 from ptne_env.games import (
     ConnectivityControl,
+    CournotMarket,
     ElectricVehicleCharging,
     EnergyGame,
     NetworkedCournot,
@@ -27,6 +28,7 @@ GAMES = {
     "hvac": HVAC,
     "energy, three players": EnergyGame([1.0, 2.0, 0.5], [3.0, -4.0, 5.0], coupling=0.7, base_price=-2.0),
     "cournot": NetworkedCournot(),
+    "market": CournotMarket([0.01, 0.5, 2.0, 0.1], [4.0, 2.0, 3.0, 9.0], 10.0, 0.3, [3.0, 9.0, 2.0, 5.0]),
     "oligopoly": Oligopoly(),
     "robots": ConnectivityControl(),
     "charging": ElectricVehicleCharging(),
@@ -39,7 +41,7 @@ GAMES = {
 }
 EPSILON = {"hvac": 2.04, "charging": 0.8, "random affine": 1.0, "random affine in a box": 1.0, "weakly monotone": 0.0}
 """ε, where the docstring states it."""
-BELOW = {"cournot": 0.9, "oligopoly": 0.92, "robots": 0.6 * 2, "rates": 0.4}
+BELOW = {"cournot": 0.9, "market": 0.32, "oligopoly": 0.92, "robots": 0.6 * 2, "rates": 0.4}
 """Lower bounds of ε in the docstrings; for the oligopoly, Gershgorin's bound of its rows."""
 each_game = pytest.mark.parametrize("game", GAMES.values(), ids=GAMES.keys())
 FURTHER = {
