@@ -321,11 +321,7 @@ def read_call(text: str) -> tuple[str, dict[str, Any]] | None:
 
 
 def _with_arguments(name: str, arguments: Mapping[str, Any]) -> FactorySpec:
-    """Return the factory spec of a named policy with other arguments.
-
-    Raises:
-        ValueError: for an unknown policy or argument.
-    """
+    """Return the factory spec of a named policy with other arguments; ``ValueError`` for an unknown one."""
     source = get_policy_spec(name).training_seeds[0]
     if not isinstance(source, FactorySpec) or format_of(source):
         raise ValueError(f"policy {name!r} is a file and takes no arguments")

@@ -141,11 +141,7 @@ class Suite:
         raise ValueError(unknown_name(f"track of suite {self.name}", name, [track.name for track in self.tracks]))
 
     def scenario(self, track: str) -> Scenario:
-        """Return the scenario of a track, by the track's name.
-
-        Raises:
-            ValueError: for an unknown track, or one of which some players follow a fixed policy.
-        """
+        """Return the scenario of a track by name; ``ValueError`` for an unknown one, and for one with teammates."""
         if (found := self.track(track)).teammates is not None:
             raise ValueError(
                 f"track {track!r} is more than its scenario: some of its players follow a fixed policy; only "
@@ -180,11 +176,8 @@ def get_suite(suite: str | Suite) -> Suite:
 def find_track(scenario: str | Scenario | Track) -> Track:
     """Return the track of a suite by both names, such as ``"ptne-v1/liar"``, or that of a scenario.
 
-    The first names no number of episodes. A scenario in which nothing is random has one episode.
-
-    Raises:
-        ValueError: for an unknown name, or a ``"module:object"`` that is no scenario.
-        TypeError: for another object, such as an environment.
+    The first names no number of episodes. A scenario in which nothing is random has one episode. Errors are those of
+    :func:`~ptne_env.world.catalogue.get_scenario`.
     """
     if isinstance(scenario, Track):
         return scenario
@@ -204,11 +197,9 @@ def compared_tracks(
     """Return the tracks of what :func:`ptne_env.evaluate` takes, and their episodes: a suite's where it names a track.
 
     Raises:
-        ValueError: as :func:`find_track`, for repeated names, or none.
-        TypeError: likewise.
+        ValueError, TypeError: as :func:`find_track`, and for repeated names or none.
     """
     tracks: dict[Track, EpisodeSet] = {}
-    names = []
     for scenario in scenarios:
         track = find_track(scenario)
         drawn = EpisodeSet(track.episodes or episodes or EPISODES, seed, split)
@@ -216,10 +207,9 @@ def compared_tracks(
             suite, name = split_track(scenario)
             drawn = get_suite(suite).episode_set(name, episodes, seed=seed, split=split)
             track = replace(track, episodes=drawn.count)
+        if track.name in {other.name for other in tracks}:
+            raise ValueError(f"a comparison needs different scenarios; {track.name} would be run more than once")
         tracks[track] = drawn
-        names.append(track.name)
-    if not names:
+    if not tracks:
         raise ValueError("a comparison needs at least one scenario")
-    if repeated := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"a comparison needs different scenarios; {', '.join(repeated)} would be run more than once")
     return tracks

@@ -8,9 +8,6 @@ from difflib import get_close_matches
 _SYMBOLS = {"T": "deadline", "c": "gain", "K": "steps", "N": "players"}
 """Arguments by their symbols in the paper."""
 
-_MOST = 30
-"""The largest number of names that a message lists."""
-
 
 def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = "") -> str:
     """Return the message that a name of a ``kind``, such as "scenario", does not exist; see :func:`suggestion`."""
@@ -37,8 +34,8 @@ def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
     near = list(dict.fromkeys(repr(parts[part]) for part in similar))[:3]
     if near:
         return f"did you mean {' or '.join(filter(None, (', '.join(near[:-1]), near[-1])))}?"
-    listed = [*choices[:_MOST], *["…"] * (len(choices) > _MOST)]
-    return f"choose from {', '.join(listed)}" + f", or {otherwise}" * bool(otherwise)
+    listed = ", ".join(choices[:30]) + ", …" * (len(choices) > 30)
+    return f"choose from {listed}" + f", or {otherwise}" * bool(otherwise)
 
 
 def _plain(name: str) -> str:

@@ -270,9 +270,9 @@ def _copy_immutably(value: Any) -> Any:
 
 
 def as_tuples(value: Any) -> Any:
-    """Turn sequences and arrays into tuples of Python's numbers, at all depths; return anything else as it is."""
-    if hasattr(value, "tolist"):
-        value = value.tolist()
+    """Turn sequences, arrays, tensors and sparse matrices into tuples of Python's numbers, and leave all else."""
+    for method in ("todense", "to_dense", "tolist"):
+        value = getattr(value, method)() if hasattr(value, method) else value
     is_sequence = isinstance(value, Sequence) and not isinstance(value, str)
     return tuple(map(as_tuples, value)) if is_sequence else value
 
@@ -303,18 +303,19 @@ def _target(definition: Any) -> str:
     return f"{module}:{name}"
 
 
-def _as_argument(value: Any) -> Any:
+def _as_argument(name: str, value: Any) -> Any:
     """Return a value as a spec holds it: hashable, and made of specs and of what JSON can hold."""
     value = as_tuples(value)
     if isinstance(value, tuple):
-        return tuple(map(_as_argument, value))
+        return tuple(_as_argument(name, item) for item in value)
     if isinstance(value, Mapping):
         return FactorySpec.from_dict(value)
     if isinstance(value, Part | type | FunctionType):
         return FactorySpec.of(value)
     if isinstance(value, str | bool | int | float | FactorySpec) or value is None:
         return value
-    raise TypeError(f"arguments of a part are numbers, strings, lists and parts, got {type(value).__name__}")
+    kind = type(value).__name__
+    raise TypeError(f"arguments of a part are numbers, strings, lists and parts, got {kind} for {name!r}")
 
 
 def _replace_specs(value: Any, change: Callable[[FactorySpec], Any], sequence: type[Any] = tuple) -> Any:
@@ -364,7 +365,7 @@ class FactorySpec:
                     "arguments that makes it, at the top of a module, and name the function"
                 ) from error
         name = target if isinstance(target, str) else _target(target)
-        return cls(name, tuple((name, _as_argument(value)) for name, value in sorted(arguments.items())))
+        return cls(name, tuple((name, _as_argument(name, value)) for name, value in sorted(arguments.items())))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Take a target in a notebook along, which workers cannot import: cloudpickle sends it by value."""

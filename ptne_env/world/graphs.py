@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ptne_env.games.market import generators
 from ptne_env.shared.arrays import FloatArray, freeze, require_count
-from ptne_env.shared.parts import Part
+from ptne_env.shared.parts import Part, as_tuples
 
 
 class Graph(Part):
@@ -20,7 +20,8 @@ class Graph(Part):
 
     Attributes:
         adjacency: a_ij ≥ 0, the weight with which player i hears player j, and 0 where it does not; read-only, of shape
-            (N, N), with zero diagonal. The graph is undirected where the matrix is symmetric up to rounding.
+            (N, N), with zero diagonal. The graph is undirected where the matrix is symmetric up to rounding. The
+            argument may be whatever :func:`adjacency` takes.
 
     Raises:
         ValueError: when the matrix is not of this form.
@@ -30,7 +31,7 @@ class Graph(Part):
 
     def __post_init__(self) -> None:
         try:
-            matrix = freeze(self.adjacency)
+            matrix = freeze(adjacency(self.adjacency))
         except (TypeError, ValueError) as error:
             raise ValueError(f"an adjacency matrix is an (N, N) table of numbers: {error}") from error
         if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] < 2:
@@ -143,15 +144,23 @@ def from_networkx(graph: nx.Graph[int]) -> Graph:
     return Graph(adjacency(graph))
 
 
-def adjacency(graph: nx.Graph[Any]) -> FloatArray:
-    """Return the weights a_ij of a graph of networkx, (N, N); the attribute ``weight`` is 1 where it is missing.
+def as_graph(graph: Any) -> Graph:
+    """Return a :class:`Graph` as it is, and make one of what :func:`adjacency` takes."""
+    return graph if isinstance(graph, Graph) else Graph(graph)
 
-    Players are the nodes in the order of their labels, which are numbers, or texts of numbers such as "3". An edge
-    u → v of a directed graph carries messages from u to v, so it is a_vu.
+
+def adjacency(graph: Any) -> Any:
+    """Return the weights a_ij, (N, N), of a graph of networkx, or of a list, an array, a tensor or a sparse matrix.
+
+    Players are the nodes of networkx in the order of their labels, which are numbers, or texts of numbers such as "3".
+    The attribute ``weight`` is 1 where it is missing. An edge u → v of a directed graph carries messages from u to v,
+    so it is a_vu.
 
     Raises:
         ValueError: when a label is no number, or two are the same number.
     """
+    if not isinstance(graph, nx.Graph):
+        return graph if isinstance(graph, np.ndarray) else as_tuples(graph)
     try:
         nodes = {float(label): label for label in graph}
     except (TypeError, ValueError):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 from ptne_env.shared.arrays import require_printable
 from ptne_env.shared.names import unknown_name
-from ptne_env.shared.parts import FactorySpec, Part, target_of
+from ptne_env.shared.parts import FactorySpec, Part, as_tuples, target_of
 
 if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
     from ptne_env.world.clock import Spacing
@@ -36,21 +37,30 @@ def _as_spec(field: str, value: Any) -> FactorySpec:
         if (field, value) == ("start", "random"):
             return UNIFORM_START
         return FactorySpec.of(target_of(field, value, *["random"] * (field == "start")))
+    value = as_tuples(_read_topology(value) if field == "topology" else value)
     if isinstance(value, Part | type | FunctionType):
         return FactorySpec.of(value)
-    if field == "topology" and type(value).__module__.startswith("networkx."):
-        from ptne_env.world.graphs import adjacency
-
-        value = adjacency(value)
-    for dense in ("toarray", "to_dense"):  # of a sparse matrix of scipy, or of a tensor of torch
-        value = getattr(value, dense)() if hasattr(value, dense) else value
-    if not (isinstance(value, list | tuple) or hasattr(value, "__array__")) or field not in _ARRAYS:
+    if not isinstance(value, tuple) or field not in _ARRAYS:
         raise ValueError(
             f"{field} is an object of the library's class for it, the id of a part, a 'module:object' string or a "
             f"FactorySpec{_OTHERS.get(field, '')}, got a {type(value).__name__}"
         )
     target, argument = _ARRAYS[field]
     return FactorySpec.of(target, **{argument: value})
+
+
+def _read_topology(value: Any) -> Any:
+    """Return the matrix of a graph, the topology of a list of graphs with dwell times, and anything else as it is."""
+    from ptne_env.world.graphs import adjacency
+    from ptne_env.world.switching import SwitchingTopology
+
+    first = value[0] if isinstance(value, list | tuple) and value else 0.0
+    entry = first[0] if isinstance(first, list | tuple) and first else first
+    if isinstance(entry, Real | str) or getattr(entry, "ndim", 2) < 2:  # of a matrix
+        return adjacency(value)
+    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in value):
+        raise ValueError("graphs that take turns are pairs with dwell times, such as [(ring, 0.1), (star, 0.2)]")
+    return SwitchingTopology([graph for graph, _ in value], [dwell for _, dwell in value])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,10 +79,12 @@ class Scenario:
             draws one game.
         topology: builds a :class:`~ptne_env.world.switching.SwitchingTopology` on the game's players, or a
             :class:`~ptne_env.world.graphs.Graph` that never changes; also its matrix a_ij, (N, N), i being who hears
-            j, or a graph of networkx, as :func:`~ptne_env.world.graphs.adjacency` reads it.
+            j, or a graph of networkx, as :func:`~ptne_env.world.graphs.adjacency` reads it; also a list of pairs of
+            these with dwell times in seconds, ``[(ring, 0.1), (star, 0.2)]``, which take turns.
         start: builds a :class:`~ptne_env.world.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20));
             also an array (N, n), row i being x^i(0).
-        transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``.
+        transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``; an object
+            has the deadline of the scenario.
         deadline: T in seconds.
         gain: c in 1/s, the constant part of the prescribed-time gain.
         steps: K, steps to the deadline.
@@ -114,13 +126,21 @@ class Scenario:
             value = getattr(self, field)
             if value is not None or field != "disturbance":
                 object.__setattr__(self, field, _as_spec(field, value))
+        arguments = dict(self.transformation.arguments)
+        if (own := arguments.pop("deadline", self.deadline)) != self.deadline:
+            raise ValueError(
+                f"the transformation has the deadline {own} and the scenario {self.deadline}: say deadline={own}, too"
+            )
+        object.__setattr__(self, "transformation", FactorySpec.of(self.transformation.target, **arguments))
 
     def replace(self, **changes: Any) -> Scenario:
-        """Return a copy with some fields changed.
+        """Return a copy with some fields changed; an object as ``transformation`` brings its deadline along.
 
         Raises:
             ValueError: when a key is not a field, naming the fields.
         """
+        if isinstance(transformation := changes.get("transformation"), Part):
+            changes = {"deadline": getattr(transformation, "deadline", self.deadline), **changes}
         known = [field.name for field in dataclasses.fields(self)]
         unknown = sorted(set(changes) - set(known))
         if unknown:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import ClassVar, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from ptne_env.shared.arrays import FloatArray, IntArray, require_count, require_positive, require_positive_probability
 from ptne_env.shared.parts import Part
-from ptne_env.world.graphs import Graph, from_edges, union
+from ptne_env.world.graphs import Graph, as_graph, from_edges, union
 
 TopologyClock: TypeAlias = Literal["physical", "transformed"]
 
@@ -42,7 +42,7 @@ class SwitchingTopology(Part):
     switches happen before the deadline; on the ``transformed`` clock (s) infinitely many do (docs/errata.md, 2).
 
     Attributes:
-        graphs: the modes, in order, all on the same players.
+        graphs: the modes, in order, all on the same players; as arguments also what makes a :class:`Graph`.
         dwells: dwell time of each mode, in seconds of t or in units of s; none for one fixed graph.
         clock: ``"physical"`` or ``"transformed"``.
 
@@ -61,6 +61,7 @@ class SwitchingTopology(Part):
     def __post_init__(self) -> None:
         if self.clock not in get_args(TopologyClock):
             raise ValueError(f"a topology's clock is 'physical' or 'transformed', got {self.clock!r}")
+        vars(self)["graphs"] = tuple(map(as_graph, self.graphs))
         if not self.graphs or len({graph.num_players for graph in self.graphs}) != 1:
             raise ValueError("a topology needs at least one graph, all with the same number of players")
         if self.is_random and len(self.graphs) < 2:
@@ -245,6 +246,32 @@ class EpisodeTopology(SwitchingTopology):
 def fixed(graph: Graph) -> SwitchingTopology:
     """Return the topology that never switches."""
     return SwitchingTopology([graph])
+
+
+def from_function(
+    signal: Callable[[float], Any], end: float, clock: TopologyClock = "physical", samples: int = 1000
+) -> SwitchingTopology:
+    """Return the topology whose graph at a time is ``signal(time)`` until ``end``, and then the same over and over.
+
+    The signal returns a :class:`Graph` or what makes one. It is called here alone, at ``samples`` times from 0 to
+    ``end`` and near switches, which are found to 1e-12 of ``end``; of several switches between two of these times, only
+    one is found. The topology holds graphs and dwells, as any other, so it can be stored and sent to worker processes.
+
+    Raises:
+        ValueError: for a number out of range, or a graph that is none.
+    """
+    grid = np.linspace(0.0, require_positive("end", end), require_count("samples", samples, 2), endpoint=False)
+    graphs, switches, before = [as_graph(signal(0.0))], [0.0], 0.0
+    for time in grid.tolist():
+        after = time
+        if as_graph(signal(time)) != graphs[-1]:
+            while after - before > 1e-12 * end:
+                middle = (before + after) / 2
+                before, after = (middle, after) if as_graph(signal(middle)) == graphs[-1] else (before, middle)
+            graphs.append(as_graph(signal(after)))
+            switches.append(after)
+        before = after
+    return SwitchingTopology(graphs, np.diff([*switches, end]).tolist() if len(graphs) > 1 else (), clock)
 
 
 def random_edges(

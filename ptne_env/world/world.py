@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -113,10 +113,8 @@ class World:
         self.start.draw(self.game.num_players, self.game.dimension, np.random.default_rng(0))
         self._tabulate_neighbours()
         self._tabulate_time()
-        self._warn_unless_monotone()
-        if self.clock.shortfall > SHORTFALL_WARNING:
-            end = f"the last step ends {self.clock.shortfall:.2%} of T short of the deadline"
-            warnings.warn(f"scenario {scenario.name!r}: {end}; raise s_end to come closer", stacklevel=2)
+        for doubt in self._doubts():
+            warnings.warn(f"scenario {scenario.name!r}: {doubt}", stacklevel=2)
 
     @property
     def slots(self) -> int:
@@ -210,18 +208,20 @@ class World:
                 "spacing or longer dwells"
             )
 
-    def _warn_unless_monotone(self) -> None:
-        """Warn where F is affine and not monotone; families declare it, and other games are checked on samples."""
-        if not (self.game.is_affine and not self.has_random_game):
-            return
-        jacobian = self.game.jacobian(np.zeros((self.game.dimension, 1)))[..., 0]
-        smallest = float(np.linalg.eigvalsh((jacobian + jacobian.T) / 2)[0])
-        if smallest < -1e-9 * np.abs(jacobian).max():
-            warnings.warn(
-                f"scenario {self.scenario.name!r}: F is not monotone (ε = {smallest:.3g}), which the paper's theorems "
-                "need: a law may leave the equilibrium; 'ptne certify' checks all they assume",
-                stacklevel=3,
-            )
+    def _doubts(self) -> Iterator[str]:
+        """Yield why results may mean little: the last step ends early, or the paper's theorems do not hold."""
+        needed = "which the paper's theorems need: a law may fail; 'ptne certify' checks all they assume"
+        if self.clock.shortfall > SHORTFALL_WARNING:
+            short = f"{self.clock.shortfall:.2%}"
+            yield f"the last step ends {short} of T short of the deadline; raise s_end to come closer"
+        slope, deadline = float(self.clock.transformation.derivative(0.0)), self.clock.deadline
+        if abs(slope - deadline) > 1e-9 * deadline:
+            yield f"λ'(0) = {slope:.4g} is not T = {deadline:g}, {needed}"
+        if self.game.is_affine and not self.has_random_game:  # families declare it, and samples decide elsewhere
+            jacobian = self.game.jacobian(np.zeros((self.game.dimension, 1)))[..., 0]
+            smallest = float(np.linalg.eigvalsh((jacobian + jacobian.T) / 2)[0])
+            if smallest < -1e-9 * np.abs(jacobian).max():
+                yield f"F is not monotone (ε = {smallest:.3g}), {needed}"
 
     def _tabulate_neighbours(self) -> None:
         players, union = self.game.num_players, self.topology.union

@@ -1,8 +1,10 @@
 import networkx as nx
 import numpy as np
 import pytest
+from extras import need_jax, need_sb3
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import sparse
 
 from ptne_env.world import graphs
 from ptne_env.world.graphs import Graph
@@ -85,6 +87,25 @@ def test_players_of_a_graph_of_networkx_are_its_nodes_in_the_order_of_their_numb
 def test_a_graph_of_networkx_whose_nodes_have_no_numbers_is_refused(edges):
     with pytest.raises(ValueError, match="convert_node_labels_to_integers"):
         graphs.from_networkx(nx.Graph(edges))
+
+
+@pytest.mark.parametrize("convert", [nx.Graph, sparse.csr_array, sparse.coo_matrix, np.ndarray.tolist])
+def test_an_adjacency_may_be_sparse_a_list_or_a_graph_of_networkx(convert):
+    made = convert(graphs.star(4).adjacency)
+    assert Graph(made) == graphs.as_graph(made) == graphs.star(4)
+
+
+def test_an_adjacency_may_be_a_tensor():
+    torch = need_sb3()
+    tensor = torch.tensor(graphs.star(4).adjacency, requires_grad=True)
+    assert Graph(tensor) == Graph(tensor.to_sparse()) == graphs.star(4)
+
+
+def test_an_adjacency_may_be_sparse_on_jax():
+    need_jax()
+    from jax.experimental.sparse import BCOO
+
+    assert Graph(BCOO.fromdense(graphs.star(4).adjacency)) == graphs.star(4)
 
 
 @pytest.mark.parametrize("scale", [1e-150, 1e-11, 1e150])

@@ -11,6 +11,7 @@ from worlds import FROM_THE_PAPER
 
 from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
 from ptne_env.games import EnergyGame, NonQuadraticGame, QuadraticGame
+from ptne_env.world.clock import Exponential, HyperbolicTangent
 from ptne_env.world.graphs import complete, cycle, from_networkx
 from ptne_env.world.switching import SwitchingTopology, paper_topology
 from ptne_env.world.world import World
@@ -87,6 +88,44 @@ def test_tensors_are_topologies():
     tensor = torch.tensor(matrix, requires_grad=True)
     for topology in (tensor, tensor.detach().to_sparse(), tensor.bool()):
         assert get_scenario("random-energy", topology=topology) == expected
+
+
+def test_graphs_that_take_turns_are_pairs_with_dwell_times():
+    ring, line = cycle(5), nx.path_graph(5)
+    pairs = get_scenario("energy", topology=[(ring, 0.1), (line, 0.2)])
+    assert pairs == get_scenario("energy", topology=SwitchingTopology([ring, nx.to_numpy_array(line)], [0.1, 0.2]))
+    assert World(pairs).topology.mode_dwells == (0.1, 0.2)
+    two = [[0.0, 1.0], [1.0, 0.0]]
+    assert get_scenario("random-energy", players=2, topology=two).topology.target == "topology:graph"
+    for graphs in ([ring, line], [line, ring], [nx.to_numpy_array(line)] * 2):
+        with pytest.raises(ValueError, match=r"pairs with dwell times, such as \[\(ring, 0.1\), \(star, 0.2\)\]"):
+            get_scenario("energy", topology=graphs)
+
+
+def test_an_object_is_a_transformation_and_brings_its_deadline_along():
+    named = get_scenario("energy", transformation="tanh", deadline=2.0)
+    assert get_scenario("energy", transformation=HyperbolicTangent(2.0)) == named
+    assert Scenario.from_dict(named.to_dict()) == named
+    with pytest.raises(ValueError, match=r"has the deadline 2\.0 and the scenario 3\.0: say deadline=2\.0, too"):
+        get_scenario("energy", transformation=HyperbolicTangent(2.0), deadline=3.0)
+
+
+class Slow(Exponential):
+    """λ whose slope at 0 is T/2."""
+
+    def time(self, s):
+        return super().time(np.asarray(s) / 2)
+
+    def derivative(self, s):
+        return super().derivative(np.asarray(s) / 2) / 2
+
+    def inverse(self, t):
+        return 2 * super().inverse(t)
+
+
+def test_a_transformation_that_starts_with_another_slope_is_a_warning():
+    with pytest.warns(UserWarning, match=r"λ'\(0\) = 0\.6 is not T = 1\.2, which .* 'ptne certify' checks"):
+        World(get_scenario("energy", transformation=Slow, s_end=16.0, spacing="transformed"))
 
 
 def test_an_object_that_is_no_topology_is_refused_and_the_message_names_matrices_and_graphs():
