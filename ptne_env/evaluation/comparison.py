@@ -66,6 +66,9 @@ class Job:
     training_seed: int
     episodes: EpisodeSet
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "policy", self.policy.on_scenario(self.track.scenario.name))
+
     def compute(self, *, thorough: bool = False) -> JobResult:
         """Run the episodes, and audit the decisions of a user's policy.
 

@@ -6,15 +6,15 @@ import ast
 import glob
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from inspect import signature
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from ptne_env.evaluation.named_policies import NO_LAWS, TABLE
-from ptne_env.evaluation.provenance import file_hash
-from ptne_env.learn.policy_files import FORMATS, find_file, format_of
+from ptne_env.evaluation.provenance import content_hash, file_hash
+from ptne_env.learn.policy_files import FORMATS, TRACK, files_by_track, find_file, format_of
 from ptne_env.learn.sb3_archive import as_trained, require_one_observation
 from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError, describe
@@ -60,6 +60,8 @@ class PolicySpec:
         require_printable("the name of a policy", self.name)
         if not self.training_seeds:
             raise ValueError(f"policy {self.name!r} has no training seed")
+        if isinstance(self.policy, tuple) and len(self.policy) == 1:
+            object.__setattr__(self, "policy", self.policy[0])
         for source in self.training_seeds:
             if not (isinstance(source, FactorySpec) or callable(source) or hasattr(source, "predict")):
                 raise ValueError(
@@ -132,14 +134,21 @@ class PolicySpec:
         file_format = format_of(self.training_seeds[0])
         return file_format.libraries if file_format else ()
 
+    def on_scenario(self, name: str) -> PolicySpec:
+        """Return the policy that plays a scenario: that of its file if there is one file per track, or itself."""
+        sources = tuple(_files_by_track(source).get(name, source) for source in self.training_seeds)
+        return replace(self, policy=sources)
+
     def build(self, layout: ObservationLayout, training_seed: int = 0) -> Policy:
         """Build the policy of a training seed for a layout.
 
         Raises:
-            LayoutError: when the policy was made for another layout.
+            LayoutError: when the policy was made for another layout, or has one file per track, and none for this one.
             PolicyError: when building it raises any other error, or what was built has no ``predict``.
         """
         source = self.training_seeds[training_seed]
+        if by_track := _files_by_track(source):
+            raise LayoutError(f"it has one file per track, for {', '.join(by_track)}, and none for this one")
         built: Any = source
         try:
             if isinstance(source, FactorySpec):
@@ -182,7 +191,7 @@ class PolicySpec:
                 FactorySpec.from_dict({key: seed[key] for key in ("target", "arguments")}) for seed in seeds
             )
             interface = Interface.from_dict(data["interface"])
-            return cls(data["name"], sources if len(sources) != 1 else sources[0], interface)
+            return cls(data["name"], sources, interface)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"not a policy: {type(error).__name__}: {error}") from None
 
@@ -203,6 +212,7 @@ def _declared(source: PolicySource, attribute: str) -> Any:
     """Return an attribute that a policy declares, as a class, as an object or in its file; ``None`` if it does not."""
     policy: Any = source
     if isinstance(source, FactorySpec):
+        source = next(iter(_files_by_track(source).values()), source)
         policy = source.build() if format_of(source) else resolve(source.target)
     return getattr(policy, attribute, None)
 
@@ -224,10 +234,19 @@ def _file_of(source: PolicySource) -> str | None:
     return next(filter(None, map(_file_of, arguments.values())), None)
 
 
+def _files_by_track(source: PolicySource) -> dict[str, FactorySpec]:
+    """Return the factory spec of each file by track; empty for a policy that does not have one file per track."""
+    file_format, path = format_of(source), _file_of(source)
+    if file_format is None or path is None or TRACK not in path:
+        return {}
+    return {track: file_format.spec(name) for track, name in files_by_track(path).items()}
+
+
 def _source_to_dict(source: PolicySource) -> dict[str, Any]:
     if isinstance(source, FactorySpec):
-        path = _file_of(source)
-        return {**source.to_dict(), "sha256": path and file_hash(find_file(path))}
+        path, by_track = _file_of(source), _files_by_track(source)
+        hashes = [file_hash(find_file(name)) for name in map(_file_of, by_track.values()) if name]
+        return {**source.to_dict(), "sha256": content_hash(hashes) if hashes else path and file_hash(find_file(path))}
     named = source if isinstance(source, type) else type(source)
     return {"object": f"{named.__module__}:{named.__qualname__}"}
 
@@ -267,9 +286,10 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
     Args:
         policy: a name of :data:`POLICIES`, an ``.npz`` file, a Stable-Baselines3 ``.zip``, the id of a
             law (``"law:grounded"``) or a ``"module:object"`` that is called with the layout, or ``"name=pattern"``
-            (such as ``"mine=runs/seed-*/policy.npz"``), whose files are the training seeds of one policy; or an object
-            or class with ``predict``, whose class gives the name. Arguments of what is no file may follow in
-            parentheses, as in ``"static(kappa=4)"``.
+            (such as ``"mine=runs/seed-*/policy.npz"``), whose files are the training seeds of one policy, or one file
+            per track where ``{track}`` stands for the name of its scenario; or an object or class with ``predict``,
+            whose class gives the name. Arguments of what is no file may follow in parentheses, as in
+            ``"static(kappa=4)"``.
         trust: whether code that is stored in a ``.zip`` may be executed.
 
     Raises:
@@ -292,7 +312,7 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
         return POLICIES[policy]
     call, (name, separator, pattern) = read_call(policy), policy.partition("=")
     if call is None and separator and name and Path(name).name == name and not Path(policy).is_file():
-        paths = sorted(glob.glob(pattern))  # noqa: PTH207 - it may be absolute
+        paths = [pattern] if TRACK in pattern else sorted(glob.glob(pattern))  # noqa: PTH207 - it may be absolute
         if not paths:
             raise FileNotFoundError(f"there is no file {pattern!r}, which '{policy}' asks for")
         return PolicySpec(name, tuple(_spec_of_file(path, trust=trust) for path in paths))
@@ -333,8 +353,9 @@ def _with_arguments(name: str, arguments: Mapping[str, Any]) -> FactorySpec:
 
 
 def _spec_of_file(path: str, *, trust: bool) -> FactorySpec:
-    """Return the factory spec of the policy in a file."""
-    require_file(path)
+    """Return the factory spec of the policy in a file, or in one file per track."""
+    for name in files_by_track(path).values() if TRACK in path else [path]:
+        require_file(name)
     formats = [each for each in FORMATS if path.endswith(each.endings)]
     if not formats:
         raise ValueError(f"{path!r} is no policy: policy files end in .npz or .zip")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from glob import escape, glob
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +13,9 @@ from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.files import read_file, shipped_files
 from ptne_env.shared.names import unknown_name
 from ptne_env.shared.parts import FactorySpec
+
+TRACK = "{track}"
+"""What stands for the name of the track in the name or path of a policy that has one file per track."""
 
 LARGEST_FILE = 16 << 20
 """The largest number of bytes that :func:`load` reads; the shipped files have 30 to 290 kB."""
@@ -72,6 +76,14 @@ def shipped_path(name: str) -> Path:
 def find_file(path_or_name: str | Path) -> Path:
     """Return the path of a policy file, which may be given by the name of a policy in the library."""
     return shipped_path(str(path_or_name)) if str(path_or_name) in shipped_names() else Path(path_or_name)
+
+
+def files_by_track(path_or_name: str) -> dict[str, str]:
+    """Return the paths or names of the files of a policy that has one file per track, by track."""
+    start, _, end = path_or_name.partition(TRACK)
+    names = [*shipped_names(), *glob(f"{escape(start)}*{escape(end)}")]  # noqa: PTH207 - it may be absolute
+    fitting = sorted(name for name in names if name.startswith(start) and name.endswith(end))
+    return {name.removeprefix(start).removesuffix(end): name for name in fitting}
 
 
 def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> RecurrentPolicy | LayeredPolicy:

@@ -67,6 +67,26 @@ def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch)
         get_policy_spec("mine=*.py")
 
 
+def test_a_policy_may_have_one_file_per_track(tmp_path):
+    name, other = "random-energy", "random-energy-switching"
+    for scenario, shipped in ((name, "ppo-random-energy"), ("energy", "ppo-ptne-v1")):
+        (tmp_path / f"{scenario}.npz").write_bytes(shipped_path(shipped).read_bytes())
+    several = get_policy_spec(f"mine={tmp_path}/{{track}}.npz")
+    assert PolicySpec.from_dict(several.to_dict()) == several
+    alone = get_policy_spec(tmp_path / f"{name}.npz")
+    results = evaluate([several, alone], [name, other], episodes=3)
+    assert np.array_equal(results.samples[name, "mine"]["digits"], results.samples[name, name]["digits"])
+    assert results.not_applicable == {
+        (other, "mine"): "it has one file per track, for energy, random-energy, and none for this one"
+    }
+    known = several.to_dict()
+    (tmp_path / "energy.npz").unlink()
+    assert several.to_dict() != known  # the hash is of all files
+    (tmp_path / f"{name}.npz").unlink()
+    with pytest.raises(FileNotFoundError, match=r"there is no file '.*{track}.npz'"):
+        get_policy_spec(f"mine={tmp_path}/{{track}}.npz")
+
+
 @pytest.mark.parametrize(
     ("text", "spec"),
     [
