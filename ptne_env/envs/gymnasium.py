@@ -68,9 +68,9 @@ def _join_boxes(space: spaces.Box, players: int) -> Any:
     return spaces.Box(np.tile(space.low, players), np.tile(space.high, players), dtype=np.float32)
 
 
-def _forwarded(path: str) -> Any:
-    """Return a property that is the attribute of the wrapped environment."""
-    return property(attrgetter(path), doc=f"The same as ``{path}``.")
+def _forward(wrapped: str, *names: str) -> tuple[Any, ...]:
+    """Return properties that are attributes of the wrapped environment."""
+    return tuple(property(attrgetter(f"{wrapped}.{name}"), doc=f"See ``{wrapped}``.") for name in names)
 
 
 class _HasReadableSpec:
@@ -113,9 +113,8 @@ class JointEnv(_HasReadableSpec, gymnasium.Env[Float32Array, Float32Array]):
         "render_fps": 30,
     }
 
-    estimates, strategies, nash_equilibrium, time, state, get_state, set_state = (
-        _forwarded(f"parallel.{name}")
-        for name in ("estimates", "strategies", "nash_equilibrium", "time", "state", "get_state", "set_state")
+    estimates, strategies, nash_equilibrium, time, state, get_state, set_state = _forward(
+        "parallel", "estimates", "strategies", "nash_equilibrium", "time", "state", "get_state", "set_state"
     )
 
     def __init__(
@@ -184,9 +183,8 @@ class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, 
         layout: the layout of each player's part of observations and actions.
     """
 
-    estimates, strategies, nash_equilibria, time, get_state, set_state = (
-        _forwarded(f"vector.{name}")
-        for name in ("estimates", "strategies", "nash_equilibria", "time", "get_state", "set_state")
+    estimates, strategies, nash_equilibria, time, get_state, set_state = _forward(
+        "vector", "estimates", "strategies", "nash_equilibria", "time", "get_state", "set_state"
     )
 
     def __init__(

@@ -54,8 +54,7 @@ class PlayerVecEnv(VecEnv):
         layout: the layout of observations and actions.
 
     Raises:
-        TypeError: for an unknown keyword, naming similar ones, or all.
-        ValueError: for an unknown name, or an invalid value.
+        TypeError, ValueError: as :func:`ptne_env.parallel_env`.
     """
 
     def __init__(
@@ -93,11 +92,10 @@ class PlayerVecEnv(VecEnv):
         return self._seeds
 
     def set_options(self, options: Any = None) -> None:
-        """Set the options of the next reset: ``{"estimates": table}``, shape (N, n) for all or (B, N, n), as x^i(0).
+        """Set the options of the next reset: ``{"estimates": table}``, shape (N, n) for all or (B, N, n), row i x^i(0).
 
         Raises:
-            TypeError: when the options are not one dictionary.
-            ValueError: for an unknown option.
+            TypeError, ValueError: for something else than one dictionary with this key.
         """
         super().set_options(dict(require_options(options, "estimates")))
 

@@ -26,16 +26,9 @@ from ptne_env.world.world import World
 
 
 class StepResult(NamedTuple):
-    """The result of a step, which the next step may overwrite. Environments are last, except in ``clipped``.
+    """The result of a step, which the next step may overwrite; entries as in :class:`~ptne_env.envs.vector.VectorStep`.
 
-    Attributes:
-        rewards: the weighted sum of the terms, shape (N, B).
-        terms: each reward term, unweighted, shape (N, B).
-        terminated: whether each episode has ended, shape (B,).
-        truncated: whether ``max_cycles`` cuts each episode, shape (B,).
-        diverged: whether each environment is out of range, shape (B,).
-        is_success: whether all estimates of each environment are within 0.5 % of the equilibrium, shape (B,).
-        clipped: the number of entries of each player's action that were outside the box, shape (B, N).
+    Environments are last, (N, B) or (B,), except in ``clipped``, (B, N). ``terms`` holds each reward term, unweighted.
     """
 
     rewards: FloatArray
@@ -48,13 +41,7 @@ class StepResult(NamedTuple):
 
 
 class EpisodeStart(NamedTuple):
-    """The draws with which episodes start.
-
-    Attributes:
-        streams: the random generators of all environments.
-        state: the state of the environments that start.
-        mask: whether each environment starts, shape (B,).
-    """
+    """Random generators of all environments, the state of those in ``mask`` (B,), which start, and the mask."""
 
     streams: list[RandomStreams]
     state: State

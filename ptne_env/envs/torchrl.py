@@ -47,8 +47,7 @@ class TorchRLEnv(EnvBase):
         group_map: the names of the players, by group.
 
     Raises:
-        TypeError: for an unknown keyword, naming similar ones, or all.
-        ValueError: for an unknown name or an invalid value.
+        TypeError, ValueError: as :func:`ptne_env.parallel_env`.
     """
 
     def __init__(

@@ -69,8 +69,7 @@ class VectorParallelEnv:
         single_action_space: the space of one player's action.
 
     Raises:
-        TypeError: for an unknown keyword, naming similar ones, or all.
-        ValueError: for an unknown name, or an invalid value.
+        TypeError, ValueError: as :func:`ptne_env.parallel_env`.
     """
 
     def __init__(
@@ -146,9 +145,7 @@ class VectorParallelEnv:
         return dynamics.concatenate([block.current for block in self._blocks])
 
     def set_state(self, state: State) -> None:
-        """Continue all episodes from a state of B environments of the same world; their games may be others.
-
-        The random generators stay as they are.
+        """Continue all episodes from a state of B environments; as in :class:`~ptne_env.NashSeekingEnv`.
 
         Raises:
             ValueError: as :func:`ptne_env.world.dynamics.restore`; no environment is touched.

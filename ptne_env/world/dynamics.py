@@ -169,10 +169,11 @@ def restore(world: World, state: State, batch: int) -> State:
         raise ValueError(
             f"the state is of another world: its {', '.join(faults)} are not those of scenario {world.scenario.name!r}"
         )
-    game = state.game
+    game, parameters = state.game, {name: getattr(known, name) for name in known.parameters}
+    is_alike = batch == 1 or (type(game) is type(known) and game.with_columns(parameters) == known)
     if batch > 1 and game.batch_size == 1 and game == known:
         game = known  # so that environments can be replaced one by one
-    elif game.batch_size != batch or (batch > 1 and not _is_alike(game, known)):
+    elif game.batch_size != batch or not is_alike:
         raise ValueError(
             f"{batch} environments play {known!r}, or a batch of {batch} games that differ from it in "
             f"{', '.join(known.parameters) or 'nothing'}, got {game!r}"
@@ -181,12 +182,6 @@ def restore(world: World, state: State, batch: int) -> State:
     diverged = state.diverged | ~_is_near(state.estimates, gradients)
     restored = state._replace(game=game, own_gradients=_clip(gradients), diverged=diverged)
     return restored._replace(any_diverged=bool(diverged.any()))
-
-
-def _is_alike(game: Game, known: Game) -> bool:
-    """Return whether games differ in their parameters alone, so that one can take the place of the other in a batch."""
-    columns = {name: getattr(known, name) for name in known.parameters}
-    return type(game) is type(known) and game.with_columns(columns) == known
 
 
 def step(world: World, state: State, inputs: FloatArray) -> State:

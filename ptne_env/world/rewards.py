@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from inspect import signature
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -108,7 +108,8 @@ class Reward:
                 f"reward is one of {', '.join(TERMS)}, or weights by name such as {{'digits': 1.0, 'payoff': 0.1}}, or "
                 f"a function of (before, after, world), got {reward!r}"
             )
-        self._world, self._function = world, None if is_named else cast(RewardFunction, reward)
+        self._world = world
+        self._function: Any = None if is_named else reward
         weights: Any = {} if not is_named else {reward: 1.0} if isinstance(reward, str) else reward
         if (unknown := sorted(set(weights) - set(TERMS))) or (is_named and not weights):
             raise ValueError(f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}")
@@ -123,7 +124,7 @@ class Reward:
         if self._function is not None:
             self.weights = {"function": 1.0}
         self._only = next(iter(self.weights)) if [*self.weights.values()] == [1] else None  # nearly always, and quicker
-        self._gains = [name for name in weights if TERMS[name].is_gain]
+        self._names, self._gains = [*weights], [name for name in weights if TERMS[name].is_gain]
         self._steps = world.clock.total_steps
         self._values: dict[str, FloatArray] = {}
         self._state: Any = None
@@ -141,9 +142,7 @@ class Reward:
         Raises:
             ValueError: when a function returns something else than finite numbers of shape (N, B) or (B,).
         """
-        if self._function is not None:
-            return self._call(self._function, state)
-        before, values = self._values, self._measure(state, self.weights)
+        before, values = self._values, self._measure(state, self._names)
         self._values, terms = values, values.copy()
         for name in self._gains:
             terms[name] = values[name] - before[name]
@@ -152,17 +151,14 @@ class Reward:
             remaining = xp.where(self._state.diverged, 0, 1 + self._steps - state.step)
             charged = xp.where(state.diverged, remaining, 1)
             terms = {name: term if TERMS[name].is_gain else term * charged for name, term in terms.items()}
+        if self._function is not None:
+            shape, paid = state.estimates.shape[1:], self._function(self._state, state, self._world)
+            if np.shape(paid) not in (shape, shape[1:]) or (is_numpy(paid) and not np.isfinite(paid).all()):
+                raise ValueError(f"a reward function returns numbers of shape {shape} or {shape[1:]}, got {paid!r}")
+            xp = array_namespace(state.estimates)
+            terms["function"] = xp.where(self._state.diverged, 0.0, xp.broadcast_to(paid, shape)).astype(np.float64)
         self._state = state
         return terms
-
-    def _call(self, function: RewardFunction, state: State) -> dict[str, FloatArray]:
-        """Return the value of a function for the step that ended in ``state``, 0 where that began after divergence."""
-        before, xp, shape = self._state, array_namespace(state.estimates), state.estimates.shape[1:]
-        self.reset(state)
-        paid: Any = function(before, state, self._world)
-        if np.shape(paid) not in (shape, shape[1:]) or (is_numpy(paid) and not np.isfinite(paid).all()):
-            raise ValueError(f"a reward function returns finite numbers of shape {shape} or {shape[1:]}, got {paid!r}")
-        return {"function": xp.where(before.diverged, 0.0, xp.broadcast_to(paid, shape)).astype(np.float64)}
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """Return the weighted sum of the terms, shape (N, B)."""
