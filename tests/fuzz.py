@@ -173,9 +173,13 @@ def some_edges(rng, players):
 
 
 def adjacency(rng, players, edges):
-    matrix = np.zeros((players, players))
+    """Weights of these links; in some graphs they depend on the direction, and one more link has only one."""
+    matrix, is_directed = np.zeros((players, players)), rng.random() < 0.3
     for i, j in edges:
         matrix[i, j] = matrix[j, i] = rng.choice((1.0, rng.uniform(0.2, 2)))
+        matrix[j, i] *= rng.choice((1.0, rng.uniform(0.2, 2))) if is_directed else 1.0
+    if is_directed:
+        matrix[tuple(rng.sample(range(players), 2))] = 1.0
     return matrix
 
 
