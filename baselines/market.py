@@ -1,19 +1,31 @@
-"""The IEEE 118-bus case as a market: the table of its generators, and the picture of what a law does to it.
+"""The IEEE 118-bus case as a market: the table of its generators, and the picture of what laws do to it.
 
-Run ``python -m baselines.market table`` where PyPI's ``pypower`` is installed, which holds the case.
+``python -m baselines.market table`` writes the table, where PyPI's ``pypower`` is installed, which holds the case;
+``python -m baselines.market picture`` writes ``docs/images/market.png``.
 """
 
 from __future__ import annotations
 
+import argparse
 import csv
-import sys
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import networkx as nx
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
-TABLE = Path(str(files("ptne_env.games") / "market_118.csv"))
+from ptne_env.evaluation import get_policy_spec
+from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env.games import CournotMarket
+from ptne_env.report.traces import make_scene
+from ptne_env.shared.style import COLOURS, INK, drawing
+from ptne_env.suites import get_suite
+
+ROOT = Path(__file__).parents[1]
+TABLE, PICTURE = ROOT / "ptne_env" / "games" / "market_118.csv", ROOT / "docs" / "images" / "market.png"
+LAWS = "relay", "routed-unknown", "static"
 
 
 def generators(case: dict[str, Any]) -> list[tuple[int, float, float, float, str]]:
@@ -48,5 +60,46 @@ def write_table() -> None:
     print(f"{len(rows)} generators, load {load:g} MW, price at least cost {price:.2f} $/MWh")
 
 
+def draw_picture() -> None:
+    """Draw the price under several laws, and all outputs under the first of them, in the first episode of the track."""
+    track, episodes = get_suite("ptne-v1").track("market-118"), EpisodeSet(1, track=("ptne-v1", "market-118"))
+    market = episodes.initial_state(track.world).game
+    assert isinstance(market, CournotMarket)  # noqa: S101 - for the types
+    scene = make_scene(track, episodes, [get_policy_spec(law) for law in LAWS])
+    steps = np.arange(len(scene.t))
+    kinds = {"at capacity": scene.equilibrium == market.high, "stopped": scene.equilibrium == 0}
+    kinds["between"] = ~(kinds["at capacity"] | kinds["stopped"])
+    with drawing("figures"):
+        figure = Figure(figsize=(8, 3.4), dpi=130, layout="constrained")
+        canvas = FigureCanvasAgg(figure)
+        left, right = figure.subplots(1, 2)
+        for law, colour in zip(LAWS, COLOURS, strict=False):
+            price = market.price(scene.traces[law].strategies)
+            left.plot(steps, price, color=colour, label=law)
+        at_rest = float(market.price(scene.equilibrium[:, None])[0])
+        left.axhline(at_rest, color=INK, linestyle=":", linewidth=1, label="equilibrium")
+        left.set(title="Price in $/MWh", xlabel="step", xlim=(0, steps[-1]))
+        left.legend()
+        for (kind, firms), colour in zip(kinds.items(), ("#d55e00", "#7f7f7f", "#0072b2"), strict=True):
+            lines = scene.traces[LAWS[0]].strategies[firms]
+            for line in lines:
+                right.plot(steps, line, color=colour, linewidth=0.8, alpha=0.8)
+            right.plot([], [], color=colour, label=f"{kind} at the equilibrium ({len(lines)})")
+            right.plot(np.full(len(lines), steps[-1]), scene.equilibrium[firms], "o", color=colour, markersize=3)
+        right.set(title=f"Outputs in MW under {LAWS[0]}; dots: equilibrium", xlabel="step", xlim=(0, steps[-1] + 3))
+        right.set_ylim(top=1.35 * right.get_ylim()[1])  # room for the legend
+        right.legend(loc="upper left")
+        canvas.print_png(PICTURE)
+    print(f"written: {PICTURE}; price at the equilibrium {at_rest:.2f} $/MWh")
+
+
+def main() -> None:
+    """Do what the command line says."""
+    jobs = {"table": write_table, "picture": draw_picture}
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("job", choices=jobs)
+    jobs[parser.parse_args().job]()
+
+
 if __name__ == "__main__":
-    {"table": write_table}[sys.argv[1]]()
+    main()
