@@ -33,11 +33,7 @@ class HalfSpeed:
 def main() -> None:
     """Compare the static law at two gains with the policy above, on two scenarios, from the same 50 starts."""
     results = ptne_env.evaluate(
-        [
-            "static",
-            ptne_env.PolicySpec("static, κ = 4", lambda layout: laws.Static(layout, kappa=4.0)),
-            ptne_env.PolicySpec("half speed", HalfSpeed),
-        ],
+        {"static": "static", "static, κ = 4": "static(kappa=4)", "half speed": HalfSpeed},
         ["energy", "energy-switching-transformed"],
         episodes=50,
         seed=0,

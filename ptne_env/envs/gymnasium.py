@@ -169,7 +169,7 @@ class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, 
     environments that have it: those that were reset, or all of them after a step.
 
     Args:
-        scenario: a name of the catalogue or a scenario.
+        scenario: a name, as for :func:`ptne_env.get_scenario`, or a scenario.
         num_envs: B.
         autoreset_mode: when an environment that has ended starts again: in the ``NEXT_STEP`` (default), in the
             ``SAME_STEP`` (``final_obs`` and ``final_info`` hold the last observation and info), or, with ``DISABLED``,

@@ -43,7 +43,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     is now at most 0.5 %) and each reward term, unweighted, such as ``reward_digits``.
 
     Args:
-        scenario: a name of the catalogue (``ptne list`` shows them) or a scenario.
+        scenario: the name of a scenario or track (``ptne list`` shows them), or a scenario.
         interface: ``"scaled"`` or ``"physical"``, or the interface of a policy, such as ``laws.Static.interface``; see
             :class:`~ptne_env.perception.observation.ObservationLayout`.
         reward: the name of a reward term (``digits``, ``tracking``, ``payoff``, ``regret``), or weights by name; or a

@@ -43,7 +43,7 @@ class PlayerVecEnv(VecEnv):
     returns what concerns the member's environment, such as its ``estimates`` (N, n), in an array of its own.
 
     Args:
-        scenario: a name of the catalogue or a scenario.
+        scenario: a name, as for :func:`ptne_env.get_scenario`, or a scenario.
         num_envs: B, the number of environments; the ``num_envs`` of the VecEnv is B·N.
         seed: the seed of the first reset; environment b gets seed + b.
         render_mode: ``"rgb_array"`` for pictures of environment 0, as ``VecVideoRecorder`` takes them, or ``None``.

@@ -36,7 +36,7 @@ class TorchRLEnv(EnvBase):
     names, or all of them.
 
     Args:
-        scenario: a name of the catalogue or a scenario.
+        scenario: a name, as for :func:`ptne_env.get_scenario`, or a scenario.
         num_envs: B.
         seed: the seed of the first reset; environment b gets seed + b.
         **arguments: those of :class:`~ptne_env.envs.vector.VectorParallelEnv`, among them fields of the scenario.

@@ -53,7 +53,7 @@ class VectorParallelEnv:
     Each environment equals a :class:`~ptne_env.NashSeekingEnv` of the same seed, bit for bit.
 
     Args:
-        scenario: a name of the catalogue or a scenario.
+        scenario: a name, as for :func:`ptne_env.get_scenario`, or a scenario.
         num_envs: B.
         interface, reward, max_cycles: as in :func:`ptne_env.parallel_env`.
         **overrides: fields of the scenario to change.

@@ -37,7 +37,7 @@ class JaxWorld:
     keeps a state, so a world may be closed over by compiled functions.
 
     Args:
-        scenario: a name of the catalogue, or a scenario.
+        scenario: a name, as for :func:`ptne_env.get_scenario`, or a scenario.
         interface: of :meth:`observe` and :meth:`inputs`.
         dtype: of observations. With float64 digits are differentiated to full precision; players see float32.
         pool: number of games, schedules of graphs and starts that numpy draws beforehand, where JAX cannot; a reset

@@ -10,6 +10,7 @@ from small_suite import BASE, SMALL, TEAMS
 
 import ptne_env
 from ptne_env import evaluate, get_scenario, laws
+from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
 from ptne_env.evaluation import POLICIES, PolicySpec, Track
 from ptne_env.evaluation.episodes import track_seed
 from ptne_env.evaluation.tracks import compared_tracks
@@ -73,6 +74,13 @@ def test_scenarios_and_suites_are_found_by_name_and_address(monkeypatch):
     assert {*ptne_env.CATALOGUE, "ptne-v1/rounding"} < set(scenario_names())
     with pytest.raises(ValueError, match="some of its players follow a fixed policy; only ptne_env.evaluate and"):
         get_scenario("small_suite:TEAMS/strangers")
+
+
+@pytest.mark.parametrize("form", [ptne_env.parallel_env, ptne_env.VectorParallelEnv, JointEnv, JointVectorEnv])
+def test_every_form_takes_the_name_of_a_track_and_refuses_one_with_teammates(form):
+    assert form("ptne-v1/rounding").scenario == get_scenario("ptne-v1/rounding")
+    with pytest.raises(ValueError, match="'strangers' is more than its scenario: some of its players follow a fixed"):
+        form("small_suite:TEAMS/strangers")
 
 
 def test_evaluate_plays_a_track_by_its_name_as_the_suite_does():
