@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import atexit
 import json
 import os
 import tempfile
 from collections.abc import Mapping
-from contextlib import ExitStack
 from functools import cache
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
@@ -113,15 +110,9 @@ def _refuse(constant: str) -> None:
 
 @cache
 def shipped_files(folder: str, *endings: str) -> Mapping[str, Path]:
-    """Return the files in a folder of the library by their names without endings, in order.
-
-    They are copies, which the end of the process removes, where the library is imported from a zip.
-    """
-    copies = ExitStack()
-    atexit.register(copies.close)
-    named = [(Path(file.name), file) for file in files("ptne_env").joinpath(folder).iterdir()]
-    shipped = sorted((path.stem, file) for path, file in named if path.suffix in endings)
-    return {name: copies.enter_context(as_file(file)) for name, file in shipped}
+    """Return the files in a folder of the library by their names without endings, in order."""
+    files = Path(__file__).parents[1].joinpath(folder).iterdir()
+    return {path.stem: path for path in sorted(files, key=lambda path: path.stem) if path.suffix in endings}
 
 
 def require_writable(path: Path) -> None:

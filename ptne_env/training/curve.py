@@ -5,16 +5,19 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import numpy as np
 
 from ptne_env.evaluation import COMPARED, METRICS, POLICIES, PolicySpec, Results, evaluate
 from ptne_env.evaluation.tracks import Track
+from ptne_env.learn.npz_policy import open_policy
 from ptne_env.report.tables import leaders
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import read_file, write_atomically
 from ptne_env.shared.style import COLOURS, INK, drawing
+from ptne_env.training.configuration import POLICY, RunSummary, write_record
 from ptne_env.world.scenario import Scenario
 
 FLAT = 0.05
@@ -44,16 +47,22 @@ VALIDATION_EPISODES = 200
 """The episodes on which an exported policy is validated."""
 
 
-def validate(policy: Any, world: Scenario | Track) -> float:
-    """Return the mean digits of an exported policy on the validation episodes.
+def finish(out: Path, content: bytes, world: Scenario | Track, steps: int, resumed_at: int, began: float) -> RunSummary:
+    """Validate the content of a policy file, write it and the summary of its run, and return the summary.
 
     Raises:
-        ValueError: when the policy fails on one of them.
+        ValueError: when the policy fails on a validation episode.
     """
-    results = evaluate([PolicySpec("trained", policy)], [world], episodes=VALIDATION_EPISODES, split="validation")
+    seconds = monotonic() - began
+    policy = PolicySpec("trained", open_policy(Path(POLICY), content))
+    results = evaluate([policy], [world], episodes=VALIDATION_EPISODES, split="validation")
     for reason in results.failures.values():
         raise ValueError(f"the trained policy fails on {world.name!r}: {reason}")
-    return float(np.mean(results.samples[world.name, "trained"]["digits"]))
+    digits = float(np.mean(results.samples[world.name, "trained"]["digits"]))
+    summary = RunSummary(steps, resumed_at, seconds, digits)
+    write_atomically(out / POLICY, content)
+    write_record(out / "summary.json", summary)
+    return summary
 
 
 def evaluate_laws(world: Scenario | Track, episodes: int = 20) -> Results:

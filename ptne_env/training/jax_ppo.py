@@ -37,11 +37,9 @@ from ptne_env.learn.layers import (
     update_hidden,
     weight_shapes,
 )
-from ptne_env.learn.npz_policy import open_policy, seal
+from ptne_env.learn.npz_policy import seal
 from ptne_env.perception.fields import LOG_SCALE_UNIT
-from ptne_env.shared.files import write_atomically
 from ptne_env.training.configuration import (
-    POLICY,
     Configuration,
     RunSummary,
     read_checkpoint,
@@ -49,7 +47,7 @@ from ptne_env.training.configuration import (
     write_checkpoint,
     write_record,
 )
-from ptne_env.training.curve import validate, write_learning_curve
+from ptne_env.training.curve import finish, write_learning_curve
 from ptne_env.training.team import Team
 from ptne_env.world.dynamics import State
 
@@ -340,8 +338,4 @@ def train(
         if progress is not None:
             progress(len(curve) * chunk, learner.chunks * chunk, float(curve[-1].mean()))
     content = seal(runner.average, Metadata.of(learner.layout, asdict(configuration)))
-    digits = validate(open_policy(Path(POLICY), content), learner.track)
-    write_atomically(out / POLICY, content)
-    summary = RunSummary(len(curve) * chunk, resumed_at, monotonic() - began, digits)
-    write_record(out / "summary.json", summary)
-    return summary
+    return finish(out, content, learner.track, len(curve) * chunk, resumed_at, began)

@@ -31,9 +31,9 @@ from ptne_env.learn.layers import LAYERS, Metadata, Weights
 from ptne_env.learn.npz_policy import open_policy, seal
 from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.shared.files import require_file, write_atomically
+from ptne_env.shared.files import require_file
 from ptne_env.training.configuration import POLICY, Configuration, RunSummary, read_finished_run, write_record
-from ptne_env.training.curve import validate
+from ptne_env.training.curve import finish
 from ptne_env.world.catalogue import get_scenario
 
 if TYPE_CHECKING:
@@ -94,11 +94,7 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
         model.learn(configuration.steps - resumed_at, callback=callbacks, reset_num_timesteps=False)
 
     exported = export(model, env.layout, **asdict(configuration))
-    digits = validate(open_policy(Path(POLICY), exported), scenario)
-    write_atomically(out / POLICY, exported)
-    summary = RunSummary(model.num_timesteps, resumed_at, monotonic() - began, digits)
-    write_record(out / "summary.json", summary)
-    return summary
+    return finish(out, exported, scenario, model.num_timesteps, resumed_at, began)
 
 
 def _ppo_arguments(configuration: Configuration, members: int) -> dict[str, Any]:
