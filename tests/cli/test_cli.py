@@ -439,10 +439,11 @@ def test_interrupted_work_showed_the_time_left_and_leaves_complete_files(words, 
             json.loads(path.read_text(encoding="utf-8"))
 
 
-def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
+def test_a_terminal_gets_colours_and_none_with_no_color(run, monkeypatch, tmp_path):
     assert "\x1b[32mholds" in in_terminal(["certify", "energy"], tmp_path)[1]
     assert "\x1b" not in in_terminal(["certify", "energy"], tmp_path, NO_COLOR="1")[1]
-    piped = ptne("certify", "energy", COLUMNS="80").stdout
+    monkeypatch.setenv("COLUMNS", "80")
+    piped = run("certify energy").out
     assert "\x1b" not in piped
     assert max(map(len, piped.splitlines())) <= 80
 
@@ -457,11 +458,13 @@ def test_a_terminal_gets_colours_and_none_with_no_color(tmp_path):
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_the_shell_completes_names(words, expected):
-    environment = {"COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
-    outcome = ptne(**environment, _PTNE_COMPLETE="complete_bash")
-    assert outcome.stderr == ""
-    found = set(outcome.stdout.split())
+def test_the_shell_completes_names(run, monkeypatch, words, expected):
+    monkeypatch.setenv("_PTNE_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", " ".join(words))
+    monkeypatch.setenv("COMP_CWORD", str(len(words) - 1))
+    outcome = run("")
+    assert outcome.err == ""
+    found = set(outcome.out.split())
     assert expected <= found
     assert all(name.startswith(words[-1]) for name in found)
 

@@ -25,7 +25,7 @@ def outcome(folder):
 def undisturbed(tmp_path_factory):
     """The outcome of the command, and its duration in seconds."""
     folder, began = tmp_path_factory.mktemp("undisturbed"), time.monotonic()
-    start(folder).finish()
+    start(folder, jobs=1).finish()
     return outcome(folder), time.monotonic() - began
 
 
@@ -42,7 +42,7 @@ def test_a_command_that_is_killed_goes_on_to_the_results_of_an_undisturbed_one(t
             return start(folder)
 
         killed += kill_at_random_moments(start_again, ROUNDS[seed % len(ROUNDS)], duration, seed)
-        start(folder).finish()
+        start(folder, jobs=1).finish()
         assert outcome(folder) == wanted
         seed += 1
 

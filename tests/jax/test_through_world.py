@@ -33,10 +33,14 @@ def test_the_network_is_the_same_in_numpy_and_jax():
     state = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
     player, memory = np.repeat(np.arange(5), 3), None
     memories = recurrent.initial_memory(WEIGHTS, layout, 15, jax.numpy)
+
+    @jax.jit
+    def play(observed, memories):
+        return recurrent.run_network(WEIGHTS, layout, recurrent.read(layout, observed, player), memories)
+
     for _ in range(6):
         actions, memory = policy.predict(encoder.observe(state).reshape(15, -1), memory)
-        observed = world.observe(world.state(state)).reshape(layout.size, -1)
-        again, memories, _ = recurrent.run_network(WEIGHTS, layout, recurrent.read(layout, observed, player), memories)
+        again, memories, _ = play(world.observe(world.state(state)).reshape(layout.size, -1), memories)
         by_row = np.asarray(again).reshape(5, 5, 3).transpose(2, 1, 0).reshape(15, 5)
         np.testing.assert_allclose(actions, by_row, rtol=1e-3, atol=1e-4 * np.abs(actions).max())
         state = dynamics.step(world.numpy, state, encoder.decode(actions.reshape(3, 5, 5), state))
@@ -79,7 +83,7 @@ def test_gradients_do_not_explode_in_memories(monkeypatch):
 
     def norm():
         lesson = through_world.Lesson(TRACK, settings, jax.random.key(0))
-        slope = jax.grad(lambda weights: lesson._loss(weights, lesson._carry)[0])(weights)
+        slope = jax.jit(jax.grad(lambda weights: lesson._loss(weights, lesson._carry)[0]))(weights)
         return sum(float((leaf**2).sum()) for leaf in jax.tree.leaves(slope)) ** 0.5
 
     bounded = norm()
@@ -90,9 +94,8 @@ def test_gradients_do_not_explode_in_memories(monkeypatch):
 def test_gradients_with_respect_to_states_are_cut_in_every_step():
     lesson = through_world.Lesson(TRACK, SHORT, jax.random.key(0))
     before, memory = lesson._carry
-    estimates, back = jax.vjp(
-        lambda each: lesson._step(WEIGHTS, (before._replace(estimates=each), memory))[0][0].estimates, before.estimates
-    )
+    step = jax.jit(lambda each: lesson._step(WEIGHTS, (before._replace(estimates=each), memory))[0][0].estimates)
+    estimates, back = jax.vjp(step, before.estimates)
     distances = np.linalg.norm(estimates - before.game.nash_equilibria[:, None], axis=(0, 1))
     assert (np.linalg.norm(back(1e9 * estimates)[0], axis=(0, 1)) < 3 / (lesson.envs * distances)).all()
 
