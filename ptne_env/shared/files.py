@@ -7,6 +7,7 @@ import os
 import tempfile
 from collections.abc import Mapping
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -111,8 +112,8 @@ def _refuse(constant: str) -> None:
 @cache
 def shipped_files(folder: str, *endings: str) -> Mapping[str, Path]:
     """Return the files in a folder of the library by their names without endings, in order."""
-    files = Path(__file__).parents[1].joinpath(folder).iterdir()
-    return {path.stem: path for path in sorted(files, key=lambda path: path.stem) if path.suffix in endings}
+    paths = Path(str(files("ptne_env").joinpath(folder))).iterdir()
+    return {path.stem: path for path in sorted(paths, key=lambda path: path.stem) if path.suffix in endings}
 
 
 def require_writable(path: Path) -> None:
