@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+from sample_games import crowded_costs, excess
 
 from ptne_env import FactorySpec, Scenario, VectorParallelEnv, parallel_env
 from ptne_env.envs import vector
@@ -136,6 +137,11 @@ def priced_arguments(rng, players):
     return {"game": part("game:quadratic", **affine_arguments(rng, players)), "constraint": constraint, "limit": [1, 2]}
 
 
+def costs_arguments(rng, players):
+    bounds = {"low": -rng.uniform(1, 20), "high": rng.uniform(1, 20)} if rng.random() < 0.5 else {}
+    return {"function": crowded_costs, "action_dims": [1] * players, **bounds}
+
+
 def saturating_arguments(rng, players):
     prices, shift = numbers(rng, -1, 1, 2, players), numbers(rng, -1, 1, 2)
     equilibrium = numbers(rng, -9, 9, players)
@@ -149,11 +155,16 @@ def whole_family(rng, players):
 
 
 GAMES = {
+    "costs": costs_arguments,
     "coupled": lambda rng, players: {"game": whole_family(rng, players), "lines": rng.randint(1, 2)},
     "energy": energy_arguments,
     "market": market_arguments,
     "non-quadratic": lambda rng, _: {"variant": rng.choice(("printed", "corrected"))},
     "priced": priced_arguments,
+    "priced-costs": lambda rng, players: {
+        "game": part("game:costs", **costs_arguments(rng, players)),
+        "constraint": excess,
+    },
     "quadratic": affine_arguments,
     "random-affine": random_affine_arguments,
     "random-energy": lambda _, players: {"players": players},

@@ -133,3 +133,13 @@ class ForgetfulEnergyGame(EnergyGame):
 
     def own_gradients(self, estimates):
         return super().own_gradients(estimates) - self.coupling * np.einsum("iib->ib", estimates)
+
+
+def crowded_costs(x):
+    """Costs of any number of players with one component each; for games from their costs alone."""
+    return x**2 / 2 + x.__array_namespace__().sqrt(1 + x**2) + 0.1 * x * ordered_sum(x) - x
+
+
+def excess(x):
+    """A constraint on their total."""
+    return [ordered_sum(x) - 0.5]

@@ -7,7 +7,9 @@ from ptne_env.games.base import Game as Game
 from ptne_env.games.base import GameFamily as GameFamily
 from ptne_env.games.base import NoBestResponseError as NoBestResponseError
 from ptne_env.games.base import require_strong_monotonicity as require_strong_monotonicity
+from ptne_env.games.costs import CostGame as CostGame
 from ptne_env.games.coupled import CoupledConstraint as CoupledConstraint
+from ptne_env.games.coupled import PricedGame as PricedGame
 from ptne_env.games.coupled import price_constraint as price_constraint
 from ptne_env.games.energy import EnergyGame as EnergyGame
 from ptne_env.games.energy import RandomEnergy as RandomEnergy

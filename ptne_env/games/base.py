@@ -29,6 +29,9 @@ from ptne_env.shared.parts import Part
 RESIDUAL_TOLERANCE = 1e-10
 """The largest ‖x* − Π(x* − F(x*))‖ that a computed equilibrium may have, relative to 1 + ‖x*‖."""
 
+REGRET_TOLERANCE = 1e-8
+"""The largest regret J_i(x*) − min J_i that a computed equilibrium may have, relative to 1 + |J_i(x*)|."""
+
 
 class NoBestResponseError(ValueError):
     """Some player's cost has no minimiser, so the game has no best response."""
@@ -107,6 +110,11 @@ class Game(Part, ABC):
         return low, high
 
     @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """The bounds of strategies, (n, 1) each, ±∞ where there is none."""
+        return self.box or (np.full((self.dimension, 1), -np.inf), np.full((self.dimension, 1), np.inf))
+
+    @property
     def num_players(self) -> int:
         """N."""
         return len(self.action_dims)
@@ -157,12 +165,21 @@ class Game(Part, ABC):
         Raises:
             NoBestResponseError: as :meth:`best_response`.
         """
-        xp, response, costs = array_namespace(strategies), self.best_response(strategies), self.costs(strategies)
-        regrets = []
+        return self._savings(strategies, self.best_response(strategies))
+
+    def _savings(self, strategies: FloatArray, response: FloatArray) -> FloatArray:
+        """By how much each player's cost falls where that player alone plays its response: (n, B) twice to (N, B)."""
+        xp, costs = array_namespace(strategies), self.costs(strategies)
+        savings = []
         for player in range(self.num_players):
             own = (self.owners == player)[:, None]
-            regrets.append(costs[player] - self.costs(xp.where(own, response, strategies))[player])
-        return xp.stack(regrets)
+            savings.append(costs[player] - self.costs(xp.where(own, response, strategies))[player])
+        return xp.stack(savings)
+
+    def deviations(self, strategies: FloatArray, response: FloatArray) -> FloatArray:
+        """Column i holds the response of player i and the strategies of the others: (n, B) twice to (n, N, B)."""
+        own = (self.owners[:, None] == np.arange(self.num_players))[:, :, None]
+        return array_namespace(strategies).where(own, response[:, None], strategies[:, None])
 
     def pseudo_gradient(self, strategies: FloatArray) -> FloatArray:
         """F(x) = col(∂J_i/∂x_i(x)): (n, B) to (n, B)."""
@@ -175,15 +192,23 @@ class Game(Part, ABC):
         return field if self.box is None else natural_map(strategies, field, *self.box)
 
     def jacobian(self, strategies: FloatArray) -> FloatArray:
-        """dF(x): (n, B) to (n, n, B), row = component of F; by central differences where no subclass knows it."""
-        columns = []
-        for move in np.eye(self.dimension)[:, :, None]:
-            # A step of ε^{1/3} balances truncation and rounding; for an affine F only rounding is left.
-            step = np.cbrt(np.finfo(np.float64).eps) * (1 + np.abs(strategies)) * move
-            forward, backward = strategies + step, strategies - step
+        """dF(x): (n, B) to (n, n, B), row = component of F; by differences of fourth order where no subclass knows it.
+
+        Near a bound the differences stay in the box, down to a step of ε^{1/3}.
+        """
+        columns, epsilon, size = [], np.finfo(np.float64).eps, 1 + np.abs(strategies)
+        low, high = self.bounds
+        room = np.minimum(strategies - low, high - strategies) / 2
+        # ε^{1/5} balances truncation and rounding; powers of 2 leave no rounding in most sums x + h.
+        steps = np.maximum(np.minimum(epsilon ** (1 / 5) * size, room), np.cbrt(epsilon) * size)
+        steps = np.exp2(np.floor(np.log2(steps)))
+        for move in np.eye(self.dimension)[:, :, None] * steps:
             with np.errstate(all="ignore"):  # F need not exist beyond a bound
-                rise = self.pseudo_gradient(forward) - self.pseudo_gradient(backward)
-            columns.append(rise / (forward - backward).sum(axis=0))
+                near, far = (
+                    self.pseudo_gradient(strategies + reach * move) - self.pseudo_gradient(strategies - reach * move)
+                    for reach in (1, 2)
+                )
+            columns.append((8 * near - far) / (12 * move.sum(axis=0)))
         return np.stack(columns, axis=1)
 
     @property
@@ -247,8 +272,8 @@ class Game(Part, ABC):
     def nash_equilibria(self) -> FloatArray:
         """x* with F(x*) = 0, or x* = Π(x* − F(x*)) in a box, of every game, shape (n, G), read-only.
 
-        It is verified that no cost falls near it, to the second order in the own strategy. Where costs are not convex,
-        that does not exclude a better strategy far away.
+        It is verified that no cost falls near it, to the second order in the own strategy, and that no player has a
+        better response, where the game has best responses.
 
         Raises:
             ArithmeticError: when the solver's point is not an equilibrium to 1e-10, or no minimum of a player's cost.
@@ -324,6 +349,25 @@ class Game(Part, ABC):
                     f"{type(self).__name__}: F vanishes at the point found, but the cost of player {player} has the "
                     f"curvature {smallest.min():.3g} there, so it is no minimum and no Nash equilibrium"
                 )
+        self._require_best_responses(points)
+
+    def _require_best_responses(self, points: FloatArray) -> None:
+        """Check that no player has a better strategy than that at points (n, G), if best responses are known."""
+        try:
+            self._require_no_better(points, self.best_response(points))
+        except NoBestResponseError:
+            return
+
+    def _require_no_better(self, points: FloatArray, response: FloatArray) -> None:
+        savings, costs = self._savings(points, response), self.costs(points)
+        if np.any(savings > REGRET_TOLERANCE * (1 + np.abs(costs))):
+            player, game = np.unravel_index(savings.argmax(), savings.shape)
+            raise ArithmeticError(
+                f"{type(self).__name__}: F vanishes at the point found, but player {player} lowers its cost from "
+                f"{costs[player, game]:.6g} by {savings[player, game]:.3g} when it plays "
+                f"{response[self.owners == player, game]} and not {points[self.owners == player, game]}, so it is no "
+                "Nash equilibrium"
+            )
 
     def _solve_nash_equilibria(self) -> FloatArray:
         """Find a zero of F, (n, 1), with ``scipy.optimize.root``, or solve the variational inequality on the box.
@@ -394,3 +438,18 @@ def require_strong_monotonicity(game: Game) -> None:
             f"game {int(smallest.argmin())} of the batch is not strongly monotone: ε = {smallest.min():.3g}; a family "
             "of such games declares is_strongly_monotone = False"
         ) from None
+
+
+def require_shape(
+    method: Callable[[FloatArray], FloatArray], argument: FloatArray, axes: str, expected: tuple[int, ...], wanted: str
+) -> FloatArray:
+    """Return what a method of a game returns, or raise ``ValueError`` unless it takes many environments at once."""
+    rule = f"{method.__qualname__} maps {axes} = {argument.shape} to {wanted} = {expected}, environments B last"
+    try:
+        result = method(argument)
+        shape = np.shape(result)
+    except (TypeError, ValueError, LookupError) as error:
+        raise ValueError(f"{rule}; it raised {type(error).__name__}: {error}") from error
+    if shape != expected:
+        raise ValueError(f"{rule}; it returned the shape {shape}")
+    return result

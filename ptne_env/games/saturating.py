@@ -98,16 +98,11 @@ class SaturatingGame(AffineGame):
         """The minimisers, by Newton's method to 1e-12: (n, B) to (n, B)."""
         same = (self.owners[:, None] == self.owners)[:, :, None]
 
-        def profiles(response: FloatArray) -> FloatArray:
-            """Column i holds the response of player i, and the strategies of the others."""
-            own = (self.owners[:, None] == np.arange(self.num_players))[:, :, None]
-            return np.where(own, response[:, None], strategies[:, None])
-
         def field(response: FloatArray) -> FloatArray:
-            return self.own_gradients(profiles(response))
+            return self.own_gradients(self.deviations(strategies, response))
 
         def slopes(response: FloatArray) -> FloatArray:
-            at = profiles(response)
+            at = self.deviations(strategies, response)
             players = [self.jacobian(at[:, player]) for player in range(self.num_players)]
             return np.where(same, np.stack(players)[self.owners, np.arange(self.dimension)], 0.0)
 

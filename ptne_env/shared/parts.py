@@ -12,16 +12,17 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property, wraps
-from inspect import get_annotations
+from inspect import get_annotations, signature
 from reprlib import repr as short_repr
 from types import FunctionType
-from typing import Any, dataclass_transform
+from typing import Any, ClassVar, dataclass_transform
 
 import numpy as np
 
 from ptne_env.shared.names import unknown_name
 
 PARTS: Mapping[str, str] = {
+    "game:costs": "ptne_env.games:CostGame",
     "game:coupled": "ptne_env.games:CoupledConstraint",
     "game:cournot": "ptne_env.games:NetworkedCournot",
     "game:energy": "ptne_env.games:EnergyGame",
@@ -31,6 +32,7 @@ PARTS: Mapping[str, str] = {
     "game:non-quadratic": "ptne_env.games:NonQuadraticGame",
     "game:oligopoly": "ptne_env.games:Oligopoly",
     "game:priced": "ptne_env.games:price_constraint",
+    "game:priced-costs": "ptne_env.games:PricedGame",
     "game:quadratic": "ptne_env.games:QuadraticGame",
     "game:random-affine": "ptne_env.games:RandomAffine",
     "game:random-energy": "ptne_env.games:RandomEnergy",
@@ -197,7 +199,8 @@ class Part:
     several together. Arrays are copied to read-only arrays, and lists to tuples. Two parts are equal if they have the
     same class and equal fields, where arrays, lists and tuples with the same entries are equal.
 
-    A subclass may turn a field of its base into a class attribute: ``clock: ClassVar[str] = "physical"``.
+    A subclass may turn a field of its base into a class attribute or a property: ``clock = "physical"``. A field
+    without a default is keyword-only where fields of the base have one.
 
     Raises:
         TypeError: when a subclass defines ``__init__``.
@@ -211,8 +214,14 @@ class Part:
                 f"{cls.__name__} defines __init__, but the arguments of a part are its fields: declare them, such as "
                 "`size: float = 1.0`, check them in __post_init__, and derive other attributes in cached properties"
             )
-        for name in get_annotations(cls).keys() - vars(cls).keys():
-            setattr(cls, name, field())  # else an attribute of the base with this name would be its default
+        own, inherited = get_annotations(cls).keys(), {each.name: each for each in fields(cls)}
+        for name in (inherited.keys() & vars(cls).keys()) - own:
+            cls.__annotations__[name] = ClassVar  # else the default of the base would hide it
+        follows_default = any(
+            inherited[name].default is not MISSING for name in inherited.keys() - vars(cls).keys() - own
+        )
+        for name in own - vars(cls).keys():  # else an attribute of the base with this name would be its default
+            setattr(cls, name, field(kw_only=follows_default and name not in inherited))
         for value in vars(cls).values():
             if isinstance(value, cached_property):
                 value.lock = nullcontext()  # type: ignore[attr-defined]  # Python 3.11 has a lock here, which no pickle holds
@@ -380,7 +389,10 @@ class FactorySpec:
             ValueError: when the target cannot be imported or refuses the arguments.
         """
         target = resolve(self.target)
-        arguments = {name: _replace_specs(value, lambda spec: spec.build(**extra)) for name, value in self.arguments}
+        arguments = {
+            name: _replace_specs(value, lambda spec: FactorySpec._as_value(spec, **extra))
+            for name, value in self.arguments
+        }
         try:
             return target(**arguments, **extra)
         except (TypeError, AttributeError, LookupError, ArithmeticError) as error:  # typical effects of wrong arguments
@@ -389,6 +401,15 @@ class FactorySpec:
             names = sorted(arguments | extra)
             advice = f"; name it with arguments, FactorySpec.of({self.target!r}, ...)" * (not names)
             raise ValueError(f"part {self.target!r} refuses its arguments {names}: {error}{advice}") from error
+
+    def _as_value(self, /, **extra: Any) -> Any:
+        """Return the argument that this stands for: what it makes, or a function that needs more, such as costs(x)."""
+        target = resolve(self.target)
+        if isinstance(target, FunctionType) and not self.arguments:
+            needed = [each for each in signature(target).parameters.values() if each.default is each.empty]
+            if any(each.name not in extra and each.kind is each.POSITIONAL_OR_KEYWORD for each in needed):
+                return target
+        return self.build(**extra)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON object ``{"target": ..., "arguments": {...}}``."""

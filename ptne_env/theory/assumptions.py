@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from ptne_env.games import Game
+from ptne_env.games.base import require_shape
 from ptne_env.shared.arrays import FloatArray, IntArray, freeze
 from ptne_env.theory.constants import SAMPLES, MonotonicityConstants, jacobian_at_equilibrium
 from ptne_env.world.clock import TimeTransformation
@@ -214,8 +215,8 @@ def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int 
     generator = np.random.default_rng(seed)
     points = _move_into_box(game, radius, generator.uniform(-radius, radius, (game.dimension, samples)))
     estimates = np.repeat(points[:, None], game.num_players, axis=1)
-    _require_shape(game.costs, points, "(n, B)", (game.num_players, samples), "(N, B)")
-    _require_shape(game.own_gradients, estimates, "(n, N, B)", points.shape, "(n, B)")
+    require_shape(game.costs, points, "(n, B)", (game.num_players, samples), "(N, B)")
+    require_shape(game.own_gradients, estimates, "(n, N, B)", points.shape, "(n, B)")
     numerical = _differentiate_costs(game, points)
     error = float(np.max(np.abs(game.pseudo_gradient(points) - numerical) / (1 + np.abs(numerical))))
 
@@ -234,19 +235,6 @@ def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int 
     return GameReport(error, tuple(convex), tuple(unbounded), equilibrium_error)
 
 
-def _require_shape(
-    method: Callable[[FloatArray], FloatArray], argument: FloatArray, axes: str, expected: tuple[int, ...], wanted: str
-) -> None:
-    """Raise ``ValueError`` unless a method of a game takes many environments at once."""
-    rule = f"{method.__qualname__} maps {axes} = {argument.shape} to {wanted} = {expected}, environments B last"
-    try:
-        shape = np.shape(method(argument))
-    except (TypeError, ValueError, LookupError) as error:
-        raise ValueError(f"{rule}; it raised {type(error).__name__}: {error}") from error
-    if shape != expected:
-        raise ValueError(f"{rule}; it returned the shape {shape}")
-
-
 def _move_into_box(game: Game, radius: float, drawn: FloatArray) -> FloatArray:
     """Map points drawn from [−radius, radius] into the game's box."""
     if game.box is None:
@@ -259,7 +247,7 @@ def _move_into_box(game: Game, radius: float, drawn: FloatArray) -> FloatArray:
 
 def _differentiate_costs(game: Game, points: FloatArray) -> FloatArray:
     """Return numerical derivatives ∂J_i/∂x_i at points (n, samples); same shape."""
-    low, high = game.box or (np.full((game.dimension, 1), bound) for bound in (-np.inf, np.inf))
+    low, high = game.bounds
     # A cost need not be defined outside the box, so derivatives there are taken on the wider side.
     side = np.where(high - points >= points - low, 1, -1)
     components, samples = np.indices(points.shape)

@@ -79,16 +79,16 @@ class HeldPeaks(Peaks):
 
 
 class Hardening(Game):
-    """F_i = x_i + x_i³, solved in a box around 0 to about 1e-26."""
+    """F_i = x_i + x_i³ − 1e-20, so that x* is 0 but for rounding."""
 
     action_dims, low, high = (1, 1), -1.0, 2.0
 
     def costs(self, strategies):
-        return strategies**2 / 2 + strategies**4 / 4
+        return strategies**2 / 2 + strategies**4 / 4 - 1e-20 * strategies
 
     def own_gradients(self, estimates):
         own = np.stack([estimates[0, 0], estimates[1, 1]])
-        return own + own**3
+        return own + own**3 - 1e-20
 
 
 def test_an_equilibrium_at_zero_has_the_scale_1_also_where_it_is_rounded():

@@ -113,9 +113,9 @@ def test_certificates_of_priced_games_say_that_they_are_monotone_only():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"game": NetworkedCournot()}, "needs a game without bounds"),
+        ({"game": NetworkedCournot()}, "needs an affine game without bounds.*got NetworkedCournot"),
         ({"game": RandomEnergy(), "lines": 0}, "lines must be"),
-        ({"game": NonQuadraticGame()}, "cannot be priced: its F is not affine"),
+        ({"game": NonQuadraticGame()}, "needs an affine game without bounds.*got NonQuadraticGame"),
     ],
 )
 def test_wrong_arguments_of_the_family_are_named(arguments, message):

@@ -15,7 +15,7 @@ from worlds import DEGREE, DIRECTED, FAULTY, OWN_COST, channel_part, every_field
 
 import ptne_env.jax
 from ptne_env import CATALOGUE
-from ptne_env.games import AffineGame, SaturatingGame
+from ptne_env.games import AffineGame, CostGame, SaturatingGame
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.fields import FIELDS
 from ptne_env.shared.parts import PARTS
@@ -69,12 +69,12 @@ def both(world, start, inputs, reward, options):
 
 
 def responds_with_numpy_alone(game):
-    """Whether best responses are found by the iterations of ``games/variational.py``, which compute with numpy alone.
+    """Whether best responses are found by iterations, which compute with numpy alone.
 
-    It is the only formula of the library's games and channels that does; the regret on JAX is then refused.
+    No other formula of the library's games and channels does; the regret on JAX is then refused.
     """
     is_coupled = isinstance(game, AffineGame) and game.has_bounds and not game._is_separable
-    return is_coupled or isinstance(game, SaturatingGame)
+    return is_coupled or isinstance(game, SaturatingGame | CostGame)
 
 
 def every_term(game):
