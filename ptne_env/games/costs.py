@@ -176,22 +176,25 @@ class CostGame(Game):
             reached = self._own_costs(strategies, trial)
             better = reached < costs
             response, costs = np.where(better[self.owners], trial, response), np.where(better, reached, costs)
+        done, found = np.zeros((2, *costs.shape), dtype=np.bool_)  # who is done stays, so that no batch changes a bit
         for _ in range(100):
             gradient, newton = self._newton_step(strategies, response)
             length = self._longest(self.project(response + newton) - response) / (1 + self._longest(response))
-            moved = np.zeros(costs.shape, dtype=np.bool_)
+            moved, is_last, found = done.copy(), length <= 1e-9, np.where(done, found, length <= 1e-6)
             for step in (*(newton / 4**k for k in range(8)), *(-gradient / 4**k for k in range(-4, 24))):
                 trial = self.project(response + step)
                 reached = self._own_costs(strategies, trial)
-                promised = np.add.reduceat(gradient * (trial - response), self._first, axis=0)
-                better = ~moved & (reached <= costs + 1e-4 * np.minimum(promised, 0) + 1e-14 * (1 + np.abs(costs)))
+                promised = np.minimum(np.add.reduceat(gradient * (trial - response), self._first, axis=0), 0)
+                falls = reached <= costs + 1e-4 * promised + 1e-14 * (1 + np.abs(costs))
+                better = ~moved & (falls | is_last)
                 response, costs = np.where(better[self.owners], trial, response), np.where(better, reached, costs)
                 moved |= better
-                if np.all(moved | (length <= 1e-9)):
+                if moved.all():
                     break
-            if np.all(~moved | (length <= 1e-9)):
+            done |= is_last | ~moved
+            if done.all():
                 break
-        return response, length <= 1e-6
+        return response, found
 
     def _newton_step(self, strategies: FloatArray, response: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the gradients of all players' own costs at a response, and Newton's steps in the box; (n, B) each.
@@ -220,8 +223,9 @@ class CostGame(Game):
         free = ~(below | above)
         wanted = np.where(free, gradient + ordered_sum(hessian * held, axis=1), 0.0)
         values, vectors = np.linalg.eigh(np.moveaxis(hessian * free * free[:, None], 2, 0))
-        magnitudes = np.maximum(np.abs(values), 1e-14 * np.abs(values).max(axis=1, keepdims=True) + 1e-150)
-        solved = -(vectors @ (np.swapaxes(vectors, 1, 2) @ wanted.T[..., None] / magnitudes[..., None]))[..., 0].T
+        magnitudes = np.maximum(np.abs(values), 1e-14 * np.abs(values).max(axis=1, keepdims=True) + 1e-150).T
+        vectors = np.moveaxis(vectors, 0, 2)
+        solved = -ordered_sum(vectors * (ordered_sum(vectors * wanted[:, None]) / magnitudes), axis=1)
         step = np.where(free, solved, held)
         limit = 10 * (1 + self._longest(response)) / np.maximum(self._longest(step), 1e-150)
         return gradient, step * np.minimum(limit, 1)[self.owners]
