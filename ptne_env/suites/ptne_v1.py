@@ -141,7 +141,7 @@ TRACKS = (
         slots=None,
         gain=2.0,
         steps=200,
-        episodes=4,
+        episodes=3,
     ),
 )
 
