@@ -123,7 +123,6 @@ class Reward:
             )
         if self._function is not None:
             self.weights = {"function": 1.0}
-        self._only = next(iter(self.weights)) if [*self.weights.values()] == [1] else None  # nearly always, and quicker
         self._names, self._gains = [*weights], [name for name in weights if TERMS[name].is_gain]
         self._steps = world.clock.total_steps
         self._values: dict[str, FloatArray] = {}
@@ -162,8 +161,6 @@ class Reward:
 
     def total(self, terms: Mapping[str, FloatArray]) -> FloatArray:
         """Return the weighted sum of the terms, shape (N, B)."""
-        if self._only is not None:
-            return terms[self._only]
         weighted = [terms[name] if weight == 1 else weight * terms[name] for name, weight in self.weights.items()]
         return sum(weighted[1:], start=weighted[0])
 
