@@ -1,7 +1,8 @@
 """Animate one episode of every track of ptne-v1: ``python -m baselines.animate`` writes ``docs/images/tracks.gif``.
 
 A panel per track. Left: all players' strategies (thick), the estimates of them by the others (thin) and the equilibrium
-(dotted); the axis is the root of the step, because most happens early. Right: the players and the links that are up.
+(dotted); the axis is the root of the step, because most happens early. Right: the players and the links over which
+messages arrive.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from ptne_env.evaluation import get_policy_spec
-from ptne_env.report.traces import Scene, make_scene
+from ptne_env.evaluation.trajectories import Trajectories, play
+from ptne_env.report.traces import MOST_ESTIMATES
 from ptne_env.report.video import encode_gif
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
@@ -29,29 +31,28 @@ COLUMNS, PICTURES, PER_SECOND = 3, 60, 10
 class Panel:
     """The two axes of a track, and the lines that grow."""
 
-    def __init__(self, title: str, found: Scene, policy: str, left: Any, right: Any) -> None:
-        self.scene, trace = found, found.traces[policy]
-        colours = np.array([COLOURS[owner % len(COLOURS)] for owner in found.owners])
-        lines, kinds = [trace.strategies], [(colours, 1.3, 1.0)]
-        if trace.estimates is not None:
-            dimension, players, instants = trace.estimates.shape
-            lines.insert(0, trace.estimates.reshape(dimension * players, instants))
-            kinds.insert(0, (np.repeat(colours, players), 0.5, 0.5))
-        self.steps = np.sqrt(np.arange(len(found.t)))
+    def __init__(self, title: str, run: Trajectories, left: Any, right: Any) -> None:
+        self.run, game = run, run.rollout.world.game
+        colours = np.array([COLOURS[owner % len(COLOURS)] for owner in game.owners])
+        lines, kinds = [run.strategies[..., 0].T], [(colours, 1.3, 1.0)]
+        if game.dimension * game.num_players <= MOST_ESTIMATES:
+            lines.insert(0, run.estimates[..., 0].T.reshape(-1, len(run.t)))
+            kinds.insert(0, (np.repeat(colours, game.num_players), 0.5, 0.5))
+        self.steps = np.sqrt(np.arange(len(run.t)))
         self.lines = lines
         self.drawn = [LineCollection([], colors=each, linewidths=width, alpha=alpha) for each, width, alpha in kinds]
-        shown = np.concatenate([found.equilibrium, trace.strategies[:, 0]])
+        shown = np.concatenate([run.nash_equilibria[:, 0], run.strategies[0, :, 0]])
         room = 0.4 * np.ptp(shown)
         left.set(xlim=(0, self.steps[-1]), ylim=(shown.min() - room, shown.max() + room), xticks=[], yticks=[])
-        left.hlines(found.equilibrium, 0, self.steps[-1], colours, linestyles=":", linewidth=0.7)
+        left.hlines(run.nash_equilibria[:, 0], 0, self.steps[-1], colours, linestyles=":", linewidth=0.7)
         left.set_title(title, fontsize=9, loc="left", pad=3)
         for each in self.drawn:
             left.add_collection(each)
-        angles = np.pi / 2 - 2 * np.pi * np.arange(found.owners[-1] + 1) / (found.owners[-1] + 1)
+        angles = np.pi / 2 - 2 * np.pi * np.arange(game.num_players) / game.num_players
         self.places = np.column_stack([np.cos(angles), np.sin(angles)])
         right.set(aspect="equal", xlim=(-1.3, 1.3), ylim=(-1.3, 1.3))
         right.axis("off")
-        right.add_collection(LineCollection(self.places[found.links], colors=FAINT, linewidths=0.3, linestyles=":"))
+        right.add_collection(LineCollection(self.places[run.links], colors=FAINT, linewidths=0.3, linestyles=":"))
         self.links = LineCollection([], colors=INK, linewidths=0.8 if len(angles) < 15 else 0.2)
         right.add_collection(self.links)
         nodes = [COLOURS[player % len(COLOURS)] for player in range(len(angles))]
@@ -62,7 +63,7 @@ class Panel:
         last = 1 + round(share**2 * (len(self.steps) - 1))
         for drawn, values in zip(self.drawn, self.lines, strict=True):
             drawn.set_segments([np.column_stack([self.steps[:last], line[:last]]) for line in values])
-        self.links.set_segments(self.places[self.scene.links[self.scene.live[:, last - 1]]])
+        self.links.set_segments(self.places[self.run.links[self.run.weights[last - 1, :, 0] > 0]])
 
 
 def pictures(policy: str, count: int) -> Iterator[Any]:
@@ -78,9 +79,9 @@ def pictures(policy: str, count: int) -> Iterator[Any]:
         panels = []
         for place, track in enumerate(suite.tracks):
             left, right = axes[place // COLUMNS, 2 * (place % COLUMNS) : 2 * (place % COLUMNS) + 2]
-            found = make_scene(track, suite.episode_set(track.name, 1), [spec])
+            run = play(track, spec, suite.episode_set(track.name, 1), kept=1)
             left.axis("on")
-            panels.append(Panel(track.name, found, spec.name, left, right))
+            panels.append(Panel(track.name, run, left, right))
         for share in np.linspace(0, 1, count):
             for panel in panels:
                 panel.show(share)

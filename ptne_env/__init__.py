@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from ptne_env.envs.vector import VectorParallelEnv as VectorParallelEnv
     from ptne_env.evaluation import PolicySpec as PolicySpec
     from ptne_env.evaluation import Results as Results
+    from ptne_env.evaluation import Trajectories as Trajectories
     from ptne_env.evaluation import evaluate as evaluate
+    from ptne_env.evaluation import record as record
     from ptne_env.perception.observation import Interface as Interface
     from ptne_env.perception.observation import ObservationLayout as ObservationLayout
     from ptne_env.perception.policy import Policy as Policy
@@ -31,7 +33,7 @@ else:
         "laws": "laws",
         "envs.parallel": "NashSeekingEnv parallel_env",
         "envs.vector": "VectorParallelEnv",
-        "evaluation": "PolicySpec Results evaluate",
+        "evaluation": "PolicySpec Results Trajectories evaluate record",
         "perception.observation": "Interface ObservationLayout",
         "perception.policy": "Policy",
         "shared.parts": "FactorySpec",

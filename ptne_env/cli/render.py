@@ -1,4 +1,4 @@
-"""``ptne render``: write one episode as a video or a page."""
+"""``ptne render``: write one episode to a file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ptne_env.cli import options
 from ptne_env.cli.app import Command, app
 from ptne_env.cli.console import check_writable, progress, say
 from ptne_env.evaluation import get_policy_spec
-from ptne_env.report.video import MOST_PICTURES, save_video
+from ptne_env.report.video import FORMATS, MOST_PICTURES, save_episode
 
 
 @app.command(cls=Command)
@@ -19,7 +19,7 @@ def render(
     scenario: options.ScenarioArgument,
     policy: options.PolicyArgument,
     *,
-    out: Annotated[Path, typer.Option(help="The file: a video (.gif), or a page that plays the episode (.html).")],
+    out: Annotated[Path, typer.Option(help=f"The file: {', '.join(f'{FORMATS[name]} ({name})' for name in FORMATS)}.")],
     changes: options.SetOption = None,
     seed: options.SeedOption = 0,
     pictures: Annotated[
@@ -27,10 +27,10 @@ def render(
     ] = 100,
     trust: options.TrustOption = False,
 ) -> None:
-    """Write one test episode as a video or a page: strategies, estimates, distances and live links over time."""
+    """Write one test episode as a video, a page, a figure or data: strategies, estimates and distances over time."""
     check_writable(out)
     trust = options.require_trust(options.foreign_names(scenario, policy), trust=trust)
     world, spec = options.read_scenario(scenario, changes, trust=trust), get_policy_spec(policy, trust=trust)
     with progress(f"{scenario}: {policy}") as advance:
-        save_video(world, spec, out, seed=seed, pictures=pictures, progress=advance)
+        save_episode(world, spec, out, seed=seed, pictures=pictures, progress=advance)
     say(f"Episode written to {out}")

@@ -3,7 +3,8 @@
 - ``comparison``: ``evaluate``, which makes jobs, one per policy and track; ``results``: what they give together
 - ``policy_spec``: a policy of a comparison; ``named_policies``: the table of those with a name
 - ``tracks``, ``episodes``: what they play, and from which seeds
-- ``rollout``: plays and records; ``audit``: whether a policy decides each row from that row alone
+- ``rollout``: plays and records; ``trajectories``: ``record``, which returns every instant
+- ``audit``: whether a policy decides each row from that row alone
 - ``metrics``, ``statistics``: numbers of an episode, and means with intervals
 - ``provenance``: versions, hashes and the arithmetic of the machine
 """
@@ -25,3 +26,5 @@ from ptne_env.evaluation.rollout import Rollout as Rollout
 from ptne_env.evaluation.rollout import rollout as rollout
 from ptne_env.evaluation.tracks import Teammates as Teammates
 from ptne_env.evaluation.tracks import Track as Track
+from ptne_env.evaluation.trajectories import Trajectories as Trajectories
+from ptne_env.evaluation.trajectories import record as record

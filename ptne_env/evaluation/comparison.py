@@ -82,7 +82,7 @@ class Job:
         audited = thorough or self.policy.is_own
         try:
             encoder = Encoder(world, self.policy.interface)
-            start = _draw_start(world, self.episodes)
+            start = draw_start(world, self.episodes)
             for fills in (False, True):
                 policy = self.policy.build(encoder.layout, self.training_seed)
                 witnesses = self._witnesses(encoder.layout, deciding, thorough=thorough, fills=fills) if audited else ()
@@ -127,7 +127,8 @@ def _round_values(values: FloatArray) -> FloatArray:
 
 
 @lru_cache(maxsize=2)  # jobs with the same episodes follow each other
-def _draw_start(world: World, episodes: EpisodeSet) -> State:
+def draw_start(world: World, episodes: EpisodeSet) -> State:
+    """Return the initial state of all episodes."""
     return episodes.initial_state(world)
 
 

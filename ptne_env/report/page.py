@@ -5,18 +5,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 import platform
 import re
-from base64 import b64encode
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from gzip import compress
 from itertools import chain, cycle
-from typing import Any
-
-import numpy as np
 
 from ptne_env._version import __version__
 from ptne_env.evaluation.episodes import EpisodeSet
@@ -39,7 +33,6 @@ from ptne_env.report.tables import (
     track_tables,
 )
 from ptne_env.report.traces import Scene, make_scene
-from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.style import COLOURS, DARK, LIGHT
 from ptne_env.world.catalogue import DESCRIPTIONS
 
@@ -106,7 +99,7 @@ class Page:
         except ImportError as error:
             raise ImportError('pages need Jinja: pip install "ptne-env[bench]"') from error
 
-        names = [*(self.dots.kinds if self.dots else ()), *chain(*(scene.traces for scene in self.scenes.values()))]
+        names = [*(self.dots.kinds if self.dots else ()), *chain(*(scene.policies for scene in self.scenes.values()))]
         environment = Environment(
             autoescape=True,  # users choose the names of policies
             loader=PackageLoader("ptne_env.report"),
@@ -116,7 +109,7 @@ class Page:
         )
         html = environment.get_template("page.html").render(
             page=self,
-            packed={f"scene-{index}": _pack(scene) for index, scene in enumerate(self.scenes.values())},
+            packed={f"scene-{index}": scene.packed for index, scene in enumerate(self.scenes.values())},
             light=LIGHT,
             dark=DARK,
             colours=COLOURS,
@@ -230,50 +223,3 @@ def _dot_plot(results: Results) -> DotPlot:
             for row, cells in rows.items()
         },
     )
-
-
-def _pack(scene: Scene) -> str:
-    """Return a scene for charts and the player as JSON, gzip and base64, which the browser unpacks when it is shown.
-
-    Numbers that do not exist are ``null``. The others are as exact as a picture shows them, because the digits of noise
-    would be most of the file: two significant digits of errors, and strategies and estimates in steps of a hundredth of
-    their range at the start, or finer.
-    """
-    starts = np.concatenate([scene.equilibrium, *(trace.strategies[:, 0] for trace in scene.traces.values())])
-    decimals = 2 - int(np.floor(np.log10(np.ptp(starts) or 1.0)))
-    switches = np.flatnonzero(np.r_[True, (np.diff(scene.live, axis=1)).any(axis=0)])
-    content = {
-        "t": scene.t.round(6).tolist(),
-        "s": scene.s.round(6).tolist(),
-        "gain": _round_digits(scene.gain, 3),
-        "deadline": scene.deadline_frame,
-        "players": int(scene.owners[-1]) + 1,
-        "owners": scene.owners.tolist(),
-        "equilibrium": scene.equilibrium.round(6).tolist(),
-        "links": scene.links.tolist(),
-        "live": [[int(frame), np.flatnonzero(scene.live[:, frame]).tolist()] for frame in switches],
-        "traces": {
-            name: {
-                "error": _round_digits(trace.error, 2),
-                "errors": _round_digits(trace.errors if scene.episodes > 1 else trace.errors[1:2], 2),
-                "strategies": _round_decimals(trace.strategies, decimals),
-                "estimates": [] if trace.estimates is None else _round_decimals(trace.estimates, decimals),
-                "inputs": _round_decimals(trace.inputs, 2),
-            }
-            for name, trace in scene.traces.items()
-        },
-    }
-    text = json.dumps(content, ensure_ascii=False, separators=(",", ":"))
-    return b64encode(compress(text.encode(), mtime=0)).decode("ascii")
-
-
-def _round_decimals(values: FloatArray, decimals: int) -> Any:
-    """Return numbers with so many decimals as nested lists."""
-    return _round_digits(values.round(decimals) + 0.0, 9)  # no -0.0
-
-
-def _round_digits(values: FloatArray, digits: int) -> Any:
-    """Return numbers with so many significant digits as nested lists."""
-    if values.ndim > 1:
-        return [_round_digits(row, digits) for row in values]
-    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values]

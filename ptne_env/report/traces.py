@@ -1,118 +1,96 @@
-"""Traces for figures: the error over time in a few episodes, and one episode instant by instant."""
+"""Scenes: what a page shows of the episodes of a few policies in one world, instant by instant."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import json
+from base64 import b64encode
+from collections.abc import Iterable
 from dataclasses import dataclass
+from gzip import compress
+from typing import Any
 
 import numpy as np
 
+from ptne_env.evaluation.comparison import draw_start
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.policy_spec import PolicySpec
-from ptne_env.evaluation.rollout import rollout
 from ptne_env.evaluation.tracks import Track
-from ptne_env.perception.encoder import Encoder
-from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray
-from ptne_env.world.dynamics import State
+from ptne_env.evaluation.trajectories import QUANTILES, play
+from ptne_env.shared.arrays import FloatArray
 
 MOST_ESTIMATES = 200
-"""Largest number of estimates of all players that a trace keeps, as many as ``env.render()`` draws."""
-
-QUANTILES = (0.1, 0.5, 0.9)
-"""The quantiles of the error over episodes: the ends of the band, and the median between them."""
-
-
-@dataclass(frozen=True)
-class Trace:
-    """One policy in one world, at the F instants of its episodes.
-
-    Attributes:
-        errors: the :data:`QUANTILES` over episodes of the estimate distance, shape (3, F).
-        error: the estimate distance in the first episode, shape (F,).
-        strategies: x in the first episode, shape (n, F).
-        estimates: x^i in column i, in the first episode, shape (n, N, F); ``None`` where n N is above
-            :data:`MOST_ESTIMATES`.
-        inputs: the inputs of the strategies in the first episode, held from each instant; NaN at the last. Shape
-            (n, F).
-    """
-
-    errors: FloatArray
-    error: FloatArray
-    strategies: FloatArray
-    estimates: FloatArray | None
-    inputs: FloatArray
+"""Largest number of estimates of all players that a page shows, as many as ``env.render()`` draws."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A world, its first episode, and the traces of policies there.
+    """The first episode of policies in a world, and their errors in all episodes.
 
     Attributes:
-        t: time in seconds, shape (F,).
-        s: transformed time, which ends at the deadline, shape (F,).
-        gain: g(t) in 1/s, shape (F,).
-        deadline_frame: the index of the instant T.
-        owners: the player that owns each component, shape (n,).
-        equilibrium: x* in the first episode, shape (n,).
-        links: the pairs of players that are ever neighbours, shape (L, 2).
-        live: whether each link is up in the first episode, in one direction at least, shape (L, F).
+        policies: the names of the policies.
         episodes: the number of episodes behind the errors.
-        traces: the traces by name of the policy.
+        packed: the numbers for charts and the player as JSON, gzip and base64, which the browser unpacks when it shows
+            them.
     """
 
-    t: FloatArray
-    s: FloatArray
-    gain: FloatArray
-    deadline_frame: int
-    owners: IntArray
-    equilibrium: FloatArray
-    links: IntArray
-    live: BoolArray
+    policies: tuple[str, ...]
     episodes: int
-    traces: Mapping[str, Trace]
+    packed: str
 
 
 def make_scene(track: Track, episodes: EpisodeSet, policies: Iterable[PolicySpec]) -> Scene:
-    """Run policies, each with its first training seed, from the same starts; ``ValueError`` for one that cannot act."""
-    world = track.world
-    clock, start = world.clock, episodes.initial_state(world)
+    """Run policies, each with its first training seed, from the same starts; ``ValueError`` for one that cannot act.
+
+    Numbers that do not exist are ``null``. The others are as exact as a picture shows them, because the digits of noise
+    would be most of the page: two significant digits of errors, and strategies and estimates in steps of a hundredth of
+    their range at the start, or finer.
+    """
+    runs = {spec.name: play(track, spec, episodes, kept=1) for spec in policies}
+    world, start = track.world, draw_start(track.world, episodes)
+    clock, equilibrium = world.clock, start.game.nash_equilibria[:, 0]
+    starts = np.concatenate([equilibrium, *(run.strategies[0, :, 0] for run in runs.values())])
+    decimals = 2 - int(np.floor(np.log10(np.ptp(starts) or 1.0)))
     links = np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2)
     randomness = start.randomness
     modes = world.modes if randomness is None or randomness.modes is None else randomness.modes[:, 0]
     both_ways = [graph.adjacency + graph.adjacency.T for graph in world.topology.graphs]
-    live = np.array([both_ways[int(mode)][links[:, 0], links[:, 1]] > 0 for mode in modes])
-    return Scene(
-        t=clock.t,
-        s=clock.s,
-        gain=clock.transformation.gain(clock.t, clock.gain),
-        deadline_frame=clock.steps,
-        owners=world.game.owners,
-        equilibrium=start.game.nash_equilibria[:, 0],
-        links=links,
-        live=live.T,
-        episodes=episodes.count,
-        traces={spec.name: _trace_policy(track, start, spec) for spec in policies},
-    )
+    live = [both_ways[int(mode)][links[:, 0], links[:, 1]] > 0 for mode in modes]
+    switches = [0, *(1 + np.flatnonzero((np.diff(live, axis=0)).any(axis=1)))]
+    content = {
+        "t": clock.t.round(6).tolist(),
+        "s": clock.s.round(6).tolist(),
+        "gain": _round_digits(clock.transformation.gain(clock.t, clock.gain), 3),
+        "deadline": clock.steps,
+        "players": world.game.num_players,
+        "owners": world.game.owners.tolist(),
+        "equilibrium": equilibrium.round(6).tolist(),
+        "links": links.tolist(),
+        "live": [[int(frame), np.flatnonzero(live[frame]).tolist()] for frame in switches],
+        "traces": {},
+    }
+    for name, run in runs.items():
+        errors = np.quantile(run.errors, QUANTILES, axis=1)
+        inputs = run.inputs[:, world.game.owners, np.arange(len(equilibrium)), 0].T
+        estimates = run.estimates[..., 0].T
+        content["traces"][name] = {
+            "error": _round_digits(run.errors[:, 0], 2),
+            "errors": _round_digits(errors if episodes.count > 1 else errors[1:2], 2),
+            "strategies": _round_decimals(run.strategies[..., 0].T, decimals),
+            "estimates": _round_decimals(estimates, decimals) if estimates[..., 0].size <= MOST_ESTIMATES else [],
+            "inputs": _round_decimals(inputs, 2),
+        }
+    text = json.dumps(content, ensure_ascii=False, separators=(",", ":"))
+    packed = b64encode(compress(text.encode(), mtime=0)).decode("ascii")
+    return Scene(tuple(runs), episodes.count, packed)
 
 
-def _trace_policy(track: Track, start: State, spec: PolicySpec) -> Trace:
-    encoder = Encoder(track.world, spec.interface)
-    owners = track.world.game.owners
-    own = (np.arange(len(owners)), owners)
-    estimates: list[FloatArray] = []
-    inputs: list[FloatArray] = []
+def _round_decimals(values: FloatArray, decimals: int) -> Any:
+    """Return numbers with so many decimals as nested lists."""
+    return _round_digits(values.round(decimals) + 0.0, 9)  # no -0.0
 
-    def watch(state: State, held: FloatArray | None) -> None:
-        estimates.append(state.estimates[:, :, 0].copy())
-        inputs.append(np.full(len(owners), np.nan) if held is None else held[:, :, 0][own])
 
-    team = None if track.teammates is None else track.teammates.join(track.world)
-    distance = rollout(spec.build(encoder.layout), encoder, start, team, watch)["estimate_distance"]
-    every = np.stack(estimates, axis=-1)
-    return Trace(
-        errors=np.quantile(distance, QUANTILES, axis=1),
-        error=distance[:, 0],
-        strategies=every[own],
-        estimates=every if every[..., 0].size <= MOST_ESTIMATES else None,
-        inputs=np.stack(inputs, axis=-1),
-    )
+def _round_digits(values: FloatArray, digits: int) -> Any:
+    """Return numbers with so many significant digits as nested lists."""
+    if values.ndim > 1:
+        return [_round_digits(row, digits) for row in values]
+    return [float(f"{value:.{digits}g}") if np.isfinite(value) else None for value in values]

@@ -1,4 +1,4 @@
-"""Videos of an episode: the pictures of ``env.render()``, or the player of the report page."""
+"""Files of an episode: a video of ``env.render()``, the player of the report page, or trajectories."""
 
 from __future__ import annotations
 
@@ -10,28 +10,26 @@ from typing import Any
 import numpy as np
 
 from ptne_env.envs.rendering import Renderer
+from ptne_env.evaluation.comparison import draw_start
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.policy_spec import PolicySpec
-from ptne_env.evaluation.rollout import rollout
 from ptne_env.evaluation.tracks import Track
-from ptne_env.perception.encoder import Encoder
+from ptne_env.evaluation.trajectories import SUFFIXES, Trajectories, record
 from ptne_env.report.page import Page, Section
 from ptne_env.report.traces import make_scene
 from ptne_env.shared.arrays import require_count
-from ptne_env.shared.files import write_atomically
+from ptne_env.shared.files import require_suffix, write_atomically
 from ptne_env.shared.style import delay_ctrl_c
-from ptne_env.world.dynamics import State
 from ptne_env.world.scenario import Scenario
-from ptne_env.world.world import World
 
-FORMATS = (".gif", ".html")
-"""Suffixes of the files to which episodes are written: a video, or a page with the player of the report."""
+FORMATS = {".gif": "a video", ".html": "a page that plays the episode", **SUFFIXES}
+"""What is written of an episode, by the suffix of the file."""
 
 MOST_PICTURES = 500
 """Largest number of pictures in a video: all of them are in memory until they share a palette, 1.5 MB each."""
 
 
-def save_video(
+def save_episode(
     scenario: Scenario,
     spec: PolicySpec,
     path: Path,
@@ -40,12 +38,12 @@ def save_video(
     pictures: int = 100,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Run the first episode of the test split and write it as a video or a page.
+    """Run the first episode of the test split and write it to a file.
 
     Args:
         scenario: the scenario that is played.
         spec: the policy that plays.
-        path: the file, ``.gif`` or ``.html``.
+        path: the file, with a suffix of :data:`FORMATS`.
         seed: the seed of the episode, where one is drawn.
         pictures: the number of pictures in a video, evenly spaced in steps; a page shows every step.
         progress: called with the number of pictures that are drawn and the number of pictures.
@@ -56,30 +54,30 @@ def save_video(
         ImportError: when a library is missing, naming the extra to install.
         OSError: when the file cannot be written.
     """
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise ValueError(f"an episode is written to a file that ends in {' or '.join(FORMATS)}, got {path.name!r}")
+    suffix = require_suffix("an episode is", path, FORMATS)
     if require_count("pictures", pictures, 2) > MOST_PICTURES:
         raise ValueError(f"a video has at most {MOST_PICTURES} pictures, got {pictures}")
-    track, episode = Track(scenario.name, scenario, ""), EpisodeSet(1, seed)
     if suffix == ".html":
-        scenes = {track.name: make_scene(track, episode, [spec])}
+        scenes = {scenario.name: make_scene(Track(scenario.name, scenario, ""), EpisodeSet(1, seed), [spec])}
         player = Section("Episode player", has_player=True)
         write_atomically(path, Page(f"{scenario.name}: {spec.name}", (player,), scenes=scenes).to_html())
         return
-    start = episode.initial_state(track.world)
-    write_atomically(path, encode_gif(_draw_pictures(track.world, spec, start, pictures, progress)))
+    run = record(spec, scenario, seed=seed)
+    if suffix == ".gif":
+        write_atomically(path, encode_gif(_draw_pictures(run, pictures, progress)))
+    else:
+        run.save(path)
 
 
-def _draw_pictures(
-    world: World, spec: PolicySpec, start: State, count: int, progress: Callable[[int, int], None] | None
-) -> Iterator[Any]:
+def _draw_pictures(run: Trajectories, count: int, progress: Callable[[int, int], None] | None) -> Iterator[Any]:
     """Yield ``count`` pictures of an episode, uint8 arrays of shape (height, width, 3)."""
-    encoder = Encoder(world, spec.interface)
-    states: list[State] = []
-    rollout(spec.build(encoder.layout), encoder, start, watch=lambda state, _: states.append(state))
+    world, start = run.rollout.world, draw_start(run.rollout.world, run.episodes)
+    states = [
+        start._replace(step=np.array([step]), estimates=estimates.swapaxes(0, 1))
+        for step, estimates in enumerate(run.estimates)
+    ]
     wanted = np.unique(np.linspace(0, len(states) - 1, count).round().astype(int)).tolist()
-    renderer = Renderer(world, "rgb_array", f"{world.scenario.name}: {spec.name}")
+    renderer = Renderer(world, "rgb_array", f"{world.scenario.name}: {run.policy}")
     renderer.fix_axes(states)
     renderer.reset(states[0])
     for step, state in enumerate(states):

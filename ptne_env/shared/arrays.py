@@ -161,6 +161,15 @@ def ordered_sum(array: FloatArray, axis: int = 0) -> FloatArray:
     return np.add.accumulate(array, axis=axis).take(-1, axis=axis)
 
 
+def data_frame(content: Any) -> Any:
+    """Return columns by name, or records, as a ``pandas.DataFrame``; ``ImportError`` where pandas is missing."""
+    try:
+        from pandas import DataFrame
+    except ImportError as error:
+        raise ImportError('data frames need pandas: pip install "ptne-env[pandas]"') from error
+    return DataFrame(content)
+
+
 def row_maxima(array: FloatArray) -> FloatArray:
     """Return the largest entry along the last axis, (..., k) to (...)."""
     return fold(np.maximum, array, -1) if array.shape[-1] <= 16 else np.maximum.reduce(array, axis=-1)

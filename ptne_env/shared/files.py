@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -114,6 +114,18 @@ def shipped_files(folder: str, *endings: str) -> Mapping[str, Path]:
     """Return the files in a folder of the library by their names without endings, in order."""
     paths = Path(str(files("ptne_env").joinpath(folder))).iterdir()
     return {path.stem: path for path in sorted(paths, key=lambda path: path.stem) if path.suffix in endings}
+
+
+def require_suffix(subject: str, path: Path, known: Iterable[str]) -> str:
+    """Return the suffix of a path in small letters.
+
+    Raises:
+        ValueError: when it is not known; the message begins with the ``subject``, such as "an episode".
+    """
+    if (suffix := path.suffix.lower()) not in (suffixes := list(known)):
+        others = ", ".join(suffixes[:-1])
+        raise ValueError(f"{subject} written to a file that ends in {others} or {suffixes[-1]}, got {path.name!r}")
+    return suffix
 
 
 def require_writable(path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import signal
 import threading
 from collections.abc import Iterator, Mapping
@@ -44,7 +45,11 @@ _STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.3,
     "mathtext.fontset": "dejavusans",
     "svg.hashsalt": "ptne_env",  # the same picture gives the same file
+    "pdf.fonttype": 42,  # journals refuse matplotlib's own kind of font
 }
+
+PRINT: Mapping[Any, Any] = MappingProxyType({"font.size": 8, "lines.linewidth": 1.2, "savefig.dpi": 300})
+"""The style of a figure in one column of a paper."""
 
 
 @contextmanager
@@ -67,6 +72,26 @@ def drawing(purpose: str, changes: Mapping[Any, Any] = MappingProxyType({})) -> 
         raise ImportError(f'{purpose} need matplotlib: pip install "ptne-env[bench]"') from error
     with delay_ctrl_c(), rc_context({**_STYLE, **changes}):
         yield
+
+
+def printed_axes(rows: int, height: float) -> Any:
+    """Return the axes of a new figure, one column of a paper wide and ``height`` inches high, with a shared x-axis."""
+    from matplotlib.figure import Figure  # without pyplot, which would keep the figure
+
+    figure = Figure(figsize=(3.5, height), layout="constrained")
+    return figure.subplots(rows, sharex=True, height_ratios=[3, 2][:rows])
+
+
+def encode(figure: Any, kind: str, **options: Any) -> bytes:
+    """Return a figure as the content of a file of a kind, such as ``"pdf"``; the same figure gives the same bytes.
+
+    Options are those of ``Figure.savefig``.
+    """
+    buffer = io.BytesIO()
+    when = {"pdf": "CreationDate", "svg": "Date", "png": "Software"}[kind]
+    with drawing("figures", PRINT):
+        figure.savefig(buffer, format=kind, metadata={when: None}, **options)
+    return buffer.getvalue()
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from ptne_env import get_scenario
+from ptne_env import get_scenario, record
 from ptne_env.evaluation import EpisodeSet, Track, get_policy_spec
 from ptne_env.evaluation.metrics import number
 from ptne_env.report.page import Page, Section, results_page
@@ -92,9 +92,9 @@ def test_the_page_shows_the_answer_the_command_and_every_record(comparison, outl
     )
     assert "ptne compare energy" in [text for _, text in outline.all("dd")]
     cells = {text.split()[0] for _, text in outline.all("td") if text.strip()}
-    for record in comparison.records:
-        if record["mean"] is not None:
-            assert number(record["mean"]) in cells
+    for entry in comparison.records:
+        if entry["mean"] is not None:
+            assert number(entry["mean"]) in cells
 
 
 def test_figures_show_the_papers_law_and_the_users_own(outline, text, hostile):
@@ -108,18 +108,20 @@ def test_figures_show_the_papers_law_and_the_users_own(outline, text, hostile):
 
 def test_the_player_has_every_step_of_the_first_episode():
     track = Track("switching", get_scenario("energy-switching", steps=50), "")
-    found = make_scene(track, EpisodeSet(3), [get_policy_spec("static")])
-    drawn = json.loads(unpacked(Outline(Page("", (), scenes={"one": found}).to_html()), "scene-0"))
-    trace = found.traces["static"]
-    estimates = np.array(drawn["traces"]["static"]["estimates"])
-    np.testing.assert_allclose(estimates, trace.estimates, atol=np.ptp(trace.strategies[:, 0]) / 100)
-    own = trace.estimates[np.arange(5), np.arange(5)]
-    np.testing.assert_array_equal(trace.strategies, own)
-    assert (trace.errors[0] <= trace.errors[2]).all()
-    assert drawn["traces"]["static"]["inputs"][0][-1] is None  # none is held after the last instant
-    for frame in range(len(found.t)):
+    scene = make_scene(track, EpisodeSet(3), [get_policy_spec("static")])
+    drawn = json.loads(unpacked(Outline(Page("", (), scenes={"one": scene}).to_html()), "scene-0"))
+    run, shown = record("static", track, episodes=3), drawn["traces"]["static"]
+    exactness = np.ptp(run.strategies[0, :, 0]) / 100
+    np.testing.assert_allclose(shown["estimates"], run.estimates[..., 0].T, atol=exactness)
+    np.testing.assert_allclose(shown["strategies"], run.strategies[..., 0].T, atol=exactness)
+    np.testing.assert_allclose(shown["error"], run.errors[:, 0], rtol=0.05)
+    np.testing.assert_allclose(shown["errors"], np.quantile(run.errors, (0.1, 0.5, 0.9), axis=1), rtol=0.05)
+    own = run.inputs[:-1, range(5), range(5), 0].T
+    np.testing.assert_allclose(np.array(shown["inputs"])[:, :-1].astype(float), own, atol=0.0051)
+    assert shown["inputs"][0][-1] is None  # none is held after the last instant
+    for frame, weights in enumerate(run.weights[..., 0]):
         live = [links for start, links in drawn["live"] if start <= frame][-1]
-        assert live == np.flatnonzero(found.live[:, frame]).tolist()
+        assert {tuple(drawn["links"][link]) for link in live} == {(i, j) for i, j in run.links[weights > 0] if i < j}
     assert len(drawn["live"]) > 1  # the graph switches
 
 

@@ -1,4 +1,4 @@
-"""Videos of an episode: GIF and the player."""
+"""Files of an episode: GIF, player and trajectories."""
 
 import re
 import signal
@@ -10,7 +10,7 @@ from PIL import Image, ImageSequence
 
 from ptne_env import get_scenario
 from ptne_env.evaluation import get_policy_spec
-from ptne_env.report.video import save_video
+from ptne_env.report.video import save_episode
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def world():
 
 def test_gif_shows_the_episode_and_holds_its_last_picture(world, tmp_path):
     seen, static = [], get_policy_spec("static")
-    save_video(world, static, tmp_path / "run.gif", pictures=4, progress=lambda *count: seen.append(count))
+    save_episode(world, static, tmp_path / "run.gif", pictures=4, progress=lambda *count: seen.append(count))
     assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
     with Image.open(tmp_path / "run.gif") as image:
         assert image.n_frames == 4
@@ -38,20 +38,20 @@ def test_an_interrupt_that_matplotlib_loses_ends_the_video(world, tmp_path):
 
     ignored = signal.signal(signal.SIGINT, signal.default_int_handler)  # as tests in the background do
     with pytest.raises(KeyboardInterrupt):
-        save_video(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=2, progress=loses)
+        save_episode(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=2, progress=loses)
     signal.signal(signal.SIGINT, ignored)
     assert not list(tmp_path.iterdir())
 
 
 def test_html_has_the_player_alone(world, tmp_path):
-    save_video(world, get_policy_spec("static"), tmp_path / "run.html")
+    save_episode(world, get_policy_spec("static"), tmp_path / "run.html")
     text = (tmp_path / "run.html").read_text(encoding="utf-8")
     assert re.findall(r'<script type="text/plain" id="(.*?)"', text) == ["scene-0-data"]
     assert len(text) < 1e5
 
 
 def test_other_suffix_or_too_many_pictures_raise_before_anything_runs(world, tmp_path):
-    with pytest.raises(ValueError, match=r"ends in \.gif or \.html, got 'run\.avi'"):
-        save_video(world, get_policy_spec("static"), tmp_path / "run.avi")
+    with pytest.raises(ValueError, match=r"ends in \.gif, \.html, .* or \.png, got 'run\.avi'"):
+        save_episode(world, get_policy_spec("static"), tmp_path / "run.avi")
     with pytest.raises(ValueError, match="at most 500 pictures, got 9999999"):
-        save_video(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=9999999)
+        save_episode(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=9999999)
