@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from json import dumps
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from ptne_env.evaluation.rollout import Rollout, rollout
 from ptne_env.evaluation.tracks import Track, compared_tracks
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.policy import Policy
-from ptne_env.shared.arrays import FloatArray, IntArray, data_frame
+from ptne_env.shared.arrays import FloatArray, IntArray, data_frame, require_count
 from ptne_env.shared.files import require_suffix, write_atomically
 from ptne_env.shared.style import COLOURS, INK, PRINT, drawing, encode, printed_axes
 from ptne_env.world import distances, dynamics
@@ -172,13 +172,8 @@ class Trajectories:
             bottom.set(ylabel="relative error", xlabel="time t [s]", xlim=(0, self.t[-1]))
             bottom.locator_params(axis="y", numticks=6)
             if world.game.num_players <= 10:
-                place: dict[str, Any] = {
-                    "loc": "lower center",
-                    "bbox_to_anchor": (0.5, 1),
-                    "borderaxespad": 0,
-                    "ncols": 10,
-                }
-                top.legend(handlelength=0.9, handletextpad=0.4, columnspacing=0.9, **place)
+                place: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1), "borderaxespad": 0}
+                top.legend(ncols=10, handlelength=0.9, handletextpad=0.4, columnspacing=0.9, **place)
             return top.figure
 
 
@@ -201,6 +196,7 @@ def record(
     seed: int = 0,
     episodes: int = 1,
     split: Split = "test",
+    trust: bool = False,
 ) -> Trajectories:
     """Play the episodes that :func:`ptne_env.evaluate` plays, and return all that happens in them.
 
@@ -210,15 +206,16 @@ def record(
         seed: the seed of the episodes.
         episodes: the number of episodes; where nothing is random there is one.
         split: as for :func:`ptne_env.evaluate`.
+        trust: likewise.
 
     Raises:
         ValueError, TypeError: as :func:`ptne_env.evaluate`.
         LayoutError: when the policy cannot act in the scenario.
         PolicyError: when the policy cannot be built, raises, or answers in another form.
     """
-    (track,) = compared_tracks([scenario])
-    count = episodes if track.world.is_random else min(episodes, 1)
-    return play(track, get_policy_spec(policy), EpisodeSet(count, seed, split))
+    require_count("episodes", episodes, 1)
+    ((track, drawn),) = compared_tracks([scenario], episodes, seed, split).items()
+    return play(track, get_policy_spec(policy, trust=trust), replace(drawn, count=min(drawn.count, episodes)))
 
 
 def play(track: Track, spec: PolicySpec, episodes: EpisodeSet, kept: int | None = None) -> Trajectories:
@@ -227,7 +224,8 @@ def play(track: Track, spec: PolicySpec, episodes: EpisodeSet, kept: int | None 
     Raises:
         LayoutError, PolicyError: as :func:`record`.
     """
-    world, encoder = track.world, Encoder(track.world, spec.interface)
+    spec, world = spec.on_scenario(track.scenario.name), track.world
+    encoder = Encoder(world, spec.interface)
     start, clock, owners = draw_start(world, episodes), world.clock, world.game.owners
     receivers, slots = np.nonzero(np.arange(world.game.num_players)[:, None] != world.neighbours.T)
     senders, own = world.neighbours[slots, receivers], (owners, np.arange(len(owners)))

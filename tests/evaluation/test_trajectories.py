@@ -172,3 +172,9 @@ def test_wrong_arguments_raise_what_evaluate_says():
         record("ppo-random-energy", "robots")
     with pytest.raises(PolicyError, match="it cannot be built"):
         record(PolicySpec("mine", lambda layout: 1 / 0), "energy")
+
+
+def test_a_track_of_a_suite_is_played_in_its_own_episodes():
+    samples = evaluate("static", "ptne-v1/rounding", episodes=2).samples["ptne-v1/rounding", "static"]
+    run = record("static", "ptne-v1/rounding", episodes=2)
+    np.testing.assert_array_equal(_round_values(measure(run.rollout)["digits"]), samples["digits"][0])
