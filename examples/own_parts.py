@@ -43,7 +43,7 @@ class BeautyContest(AffineGame):
 
 def wheel(players: int = 5) -> switching.SwitchingTopology:
     """Return a graph with player 0 in the hub and the others on the rim."""
-    return switching.fixed(graphs.from_networkx(nx.wheel_graph(players)))
+    return switching.fixed(graphs.as_graph(nx.wheel_graph(players)))
 
 
 class Clipped(Channel):

@@ -28,7 +28,7 @@ from ptne_env.theory import (
     spectral_abscissa,
 )
 from ptne_env.theory.constants import jacobian_at_equilibrium
-from ptne_env.world.graphs import cycle, from_networkx, path
+from ptne_env.world.graphs import as_graph, cycle, path
 from ptne_env.world.switching import paper_topology
 from ptne_env.world.world import World
 
@@ -97,7 +97,7 @@ def erratum_4(experiments: Experiments) -> Iterator[Claim]:
     """κ = 2 violates the gain condition on every graph with λ2 < 2.91, and no other graph comes near Table I."""
     game, bound = experiments.energy, experiments.gain_bound
     least = experiments.required_gain(1.0) / KAPPA
-    graphs = [from_networkx(g) for g in nx.graph_atlas_g() if g.number_of_nodes() == 5 and nx.is_connected(g)]
+    graphs = [as_graph(g) for g in nx.graph_atlas_g() if g.number_of_nodes() == 5 and nx.is_connected(g)]
     weak = [graph for graph in graphs if graph.algebraic_connectivity < least]
     violating = [graph for graph in weak if experiments.required_gain(graph.algebraic_connectivity) >= KAPPA]
     slowest = min(spectral_abscissa(closed_loop_matrix(game, graph, KAPPA)) for graph in weak)

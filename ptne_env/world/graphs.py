@@ -96,27 +96,27 @@ class Graph(Part):
 
 def cycle(players: int) -> Graph:
     """Return the cycle 0-1-…-(N−1)-0, which is a single link for N = 2; N ≥ 2."""
-    return from_networkx(nx.cycle_graph(require_count("players", players, 2)))
+    return as_graph(nx.cycle_graph(require_count("players", players, 2)))
 
 
 def path(players: int) -> Graph:
     """Return the path 0-1-…-(N−1), N ≥ 2."""
-    return from_networkx(nx.path_graph(require_count("players", players, 2)))
+    return as_graph(nx.path_graph(require_count("players", players, 2)))
 
 
 def star(players: int) -> Graph:
     """Return the graph in which player 0 is linked to every other player, N ≥ 2."""
-    return from_networkx(nx.star_graph(require_count("players", players, 2) - 1))
+    return as_graph(nx.star_graph(require_count("players", players, 2) - 1))
 
 
 def complete(players: int) -> Graph:
     """Return the graph in which all pairs of players are linked, N ≥ 2."""
-    return from_networkx(nx.complete_graph(require_count("players", players, 2)))
+    return as_graph(nx.complete_graph(require_count("players", players, 2)))
 
 
 def circulant(players: int, offsets: Sequence[int]) -> Graph:
     """Link each player to those that are one of the ``offsets`` before or behind it on a circle, N ≥ 2."""
-    return from_networkx(nx.circulant_graph(require_count("players", players, 2), list(offsets)))
+    return as_graph(nx.circulant_graph(require_count("players", players, 2), list(offsets)))
 
 
 def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:
@@ -137,11 +137,6 @@ def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:
 def market_118() -> Graph:
     """Return the graph of the 54 generators of the IEEE 118-bus case; see :func:`ptne_env.games.market.generators`."""
     return Graph(generators()["adjacency"])
-
-
-def from_networkx(graph: nx.Graph[int]) -> Graph:
-    """Return the graph of networkx, undirected or directed, as a :class:`Graph`; see :func:`adjacency`."""
-    return Graph(adjacency(graph))
 
 
 def as_graph(graph: Any) -> Graph:

@@ -202,7 +202,7 @@ class Drawn(AffineGame):
 
 
 def wheel():
-    return switching.fixed(graphs.from_networkx(nx.wheel_graph(5)))
+    return switching.fixed(graphs.Graph(nx.wheel_graph(5)))
 
 
 @pytest.mark.parametrize(

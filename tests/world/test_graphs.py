@@ -30,7 +30,7 @@ def test_named_graphs_have_their_textbook_connectivity(players):
     assert graphs.path(players).algebraic_connectivity == pytest.approx(2 - 2 * np.cos(circle / 2))
     assert graphs.star(players).algebraic_connectivity == pytest.approx(1.0)
     assert graphs.complete(players).algebraic_connectivity == pytest.approx(players)
-    directed = graphs.from_networkx(nx.cycle_graph(players, nx.DiGraph))
+    directed = graphs.Graph(nx.cycle_graph(players, nx.DiGraph))
     assert directed.algebraic_connectivity == pytest.approx(1 - np.cos(circle))
 
 
@@ -63,14 +63,14 @@ def test_union_has_every_link_with_its_largest_weight(first, second):
 def test_a_graph_of_networkx_keeps_its_weights_and_numbered_players():
     graph = nx.Graph([(2, 1)])  # nodes in another order than players
     graph.add_edge(0, 2, weight=2.5)
-    ours = graphs.from_networkx(graph)
+    ours = graphs.Graph(graph)
     assert ours.adjacency.tolist() == [[0, 0, 2.5], [0, 0, 1], [2.5, 1, 0]]
 
 
 def test_an_edge_of_a_directed_graph_of_networkx_carries_messages_to_its_end():
     graph = nx.DiGraph([(0, 1), (1, 2), (2, 0)])
     graph.add_edge(0, 2, weight=2.5)
-    ours = graphs.from_networkx(graph)
+    ours = graphs.Graph(graph)
     assert ours.adjacency.tolist() == [[0, 0, 1], [1, 0, 0], [2.5, 1, 0]]
     assert ours.edges == [(0, 1), (0, 2), (1, 2)]
     assert str(ours) == "Graph(players=3, 0 hears [2], 1 hears [0], 2 hears [0, 1])"
@@ -80,13 +80,13 @@ def test_an_edge_of_a_directed_graph_of_networkx_carries_messages_to_its_end():
 def test_players_of_a_graph_of_networkx_are_its_nodes_in_the_order_of_their_numbers(label):
     graph = nx.star_graph(11)
     shuffled = nx.Graph(sorted(graph.edges, key=lambda edge: -edge[1]))  # nodes are added in another order
-    assert graphs.from_networkx(nx.relabel_nodes(shuffled, label)) == graphs.star(12)
+    assert graphs.Graph(nx.relabel_nodes(shuffled, label)) == graphs.star(12)
 
 
 @pytest.mark.parametrize("edges", [[("hub", "one"), ("hub", "two")], [(0, 1), (1, "0")], [(0, 1), (1, float("nan"))]])
 def test_a_graph_of_networkx_whose_nodes_have_no_numbers_is_refused(edges):
     with pytest.raises(ValueError, match="convert_node_labels_to_integers"):
-        graphs.from_networkx(nx.Graph(edges))
+        graphs.Graph(nx.Graph(edges))
 
 
 @pytest.mark.parametrize("convert", [nx.Graph, sparse.csr_array, sparse.coo_matrix, np.ndarray.tolist])

@@ -12,7 +12,7 @@ from worlds import FROM_THE_PAPER
 from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
 from ptne_env.games import EnergyGame, NonQuadraticGame, QuadraticGame
 from ptne_env.world.clock import Exponential, HyperbolicTangent
-from ptne_env.world.graphs import complete, cycle, from_networkx
+from ptne_env.world.graphs import Graph, complete, cycle
 from ptne_env.world.switching import SwitchingTopology, paper_topology
 from ptne_env.world.world import World
 
@@ -156,7 +156,7 @@ def test_a_topology_that_is_not_jointly_connected_is_refused():
 
 
 def test_directed_graphs_need_to_be_strongly_connected_together():
-    there, back = (from_networkx(nx.path_graph(order, nx.DiGraph)) for order in (range(5), range(4, -1, -1)))
+    there, back = (Graph(nx.path_graph(order, nx.DiGraph)) for order in (range(5), range(4, -1, -1)))
     assert World(get_scenario("energy", topology=SwitchingTopology([there, back], [0.1, 0.1]))).slots == 2
     with pytest.raises(ValueError, match="not jointly strongly connected.*player 1 says reaches player 0; add links"):
         World(get_scenario("energy", topology=SwitchingTopology([there, there], [0.1, 0.1])))
