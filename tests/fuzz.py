@@ -211,7 +211,7 @@ def periodic_arguments(rng, players):
 
 def random_edges_arguments(rng, players):
     dwells = sorted(numbers(rng, 0.1, 2, 2))
-    chances = {"probability": rng.uniform(0.3, 1), "modes": 8}
+    chances = {"probability": rng.uniform(0.5, 1), "modes": 16}  # so that every link is up in some mode
     return {"graph": a_graph(rng, players), "dwells": dwells, "clock": a_clock(rng), **chances}
 
 
