@@ -33,6 +33,8 @@ UNPLAYABLE = {
     "topology:market-118": "likewise",
     "law:oracle": "its interface is full, which environments refuse",
     "policy:file": "it needs a file",
+    "suite:ptne-v1": "a suite is no part of a scenario",
+    "suite:robustness": "likewise",
 }
 """Parts that no session plays, and why."""
 

@@ -30,8 +30,9 @@ class Adaptive(Law):
 
     On a switching topology a_ij is that of the active graph, but convergence (Theorem 4) is proven only where every
     mode is connected (docs/errata.md, 2). The gains take an Euler step of Θ_k like the estimates. Both ends of a link
-    see the same differences, so κ_ij = κ_ji needs no message. The memory is κ_ij less its surplus per neighbour slot,
-    shape (R, D), in natural units.
+    see the same differences, so κ_ij = κ_ji needs no message; nothing is proven where links are directed, of which the
+    listener alone tunes the gain. The memory is κ_ij less its surplus per neighbour slot, shape (R, D), in natural
+    units.
 
     Args:
         layout: the layout of the environment.

@@ -78,9 +78,9 @@ class Scenario:
         game: builds a :class:`~ptne_env.games.Game`, or a :class:`~ptne_env.games.GameFamily` of which every episode
             draws one game.
         topology: builds a :class:`~ptne_env.world.switching.SwitchingTopology` on the game's players, or a
-            :class:`~ptne_env.world.graphs.Graph` that never changes; also its matrix a_ij, (N, N), i being who hears
-            j, or a graph of networkx, as :func:`~ptne_env.world.graphs.adjacency` reads it; also a list of pairs of
-            these with dwell times in seconds, ``[(ring, 0.1), (star, 0.2)]``, which take turns.
+            :class:`~ptne_env.world.graphs.Graph` that never changes; also its matrix a_ij, (N, N), where i hears j, or
+            a graph of networkx, as :func:`~ptne_env.world.graphs.adjacency` reads it; also a list of pairs of these
+            with dwell times in seconds, ``[(ring, 0.1), (star, 0.2)]``, which take turns.
         start: builds a :class:`~ptne_env.world.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20));
             also an array (N, n), row i being x^i(0).
         transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``; an object

@@ -308,5 +308,5 @@ def test_a_law_is_named_in_many_ways(law):
 def test_a_policy_that_is_no_law_and_a_scenario_that_is_none_are_refused():
     with pytest.raises(ValueError, match="is no law, but a RandomPolicy; only laws have certificates"):
         theory.certify(get_scenario("energy"), "law:random")
-    with pytest.raises(TypeError, match="certify needs a Scenario, got the str 'energy'"):
-        theory.certify("energy")
+    with pytest.raises(TypeError, match="a scenario is a name or a Scenario, such as env.scenario .*; got a int"):
+        theory.certify(3)
