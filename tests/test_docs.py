@@ -17,6 +17,7 @@ from processes import run_python
 
 import ptne_env
 from ptne_env.cli import app
+from ptne_env.evaluation.trajectories import ARRAYS
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.world.catalogue import CATALOGUE
 from ptne_env.world.rewards import TERMS
@@ -27,6 +28,7 @@ DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 PAGES = [*DOCUMENTS, *sorted(ROOT.glob("[!R]*.md")), *sorted(ROOT.glob("[be]*/*.md"))]
 JAX = ROOT / "docs" / "jax.md"
 PARTS = ROOT / "docs" / "adding-parts.md"
+DATA = ROOT / "docs" / "data.md"
 ECOSYSTEM = ROOT / "docs" / "ecosystem.md"
 REQUIREMENTS = ROOT / "examples" / "ecosystem" / "requirements"
 ARCHITECTURE = ROOT / "docs" / "architecture.md"
@@ -62,7 +64,7 @@ PROGRAMS = [
     pytest.param(code, id=f"{document.stem}-{index}")
     for document in DOCUMENTS
     for index, code in enumerate(blocks(document, "python"))
-    if document not in (PARTS, JAX)
+    if document not in (PARTS, JAX, DATA)
 ]
 
 
@@ -88,6 +90,24 @@ def test_the_training_on_jax_runs_and_its_policy_can_be_compared(tmp_path):
     assert "updates=1500)\n" in code
     run_python("-W", "error", "-c", code.replace("updates=1500)\n", "updates=2)\n"), folder=tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_code_about_data_writes_the_files_that_it_names(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code = "\n".join(blocks(DATA, "python"))
+    exec(compile(code, "document", "exec"), {"__name__": "__main__"})  # noqa: S102 - our own program
+    named = re.findall(r"(?:save|savefig)\(\"([\w.]+)\"\)", code)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(named)
+    assert len(named) == 6
+
+
+def test_the_table_of_arrays_is_complete():
+    rows = {name: row[1] for row in table(DATA, "Array") for name in re.findall(r"`(\w+)`", row[0])}
+    assert list(rows) == list(ARRAYS)
+    run = ptne_env.record("static", "robots", episodes=2)
+    sizes = {"F": 401, "B": 2, "L": len(run.links), "2": 2, "N": 5, "n": 10}
+    for name, shape in rows.items():
+        assert getattr(run, name).shape == tuple(sizes[axis] for axis in re.findall(r"\w+", shape))
 
 
 def commands(document):

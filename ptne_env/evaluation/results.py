@@ -18,14 +18,15 @@ import numpy as np
 
 from ptne_env._version import __version__
 from ptne_env.evaluation.episodes import EpisodeSet, Split
-from ptne_env.evaluation.metrics import METRICS, number
+from ptne_env.evaluation.metrics import METRICS, Metric, number
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.provenance import arithmetic, content_hash, versions
 from ptne_env.evaluation.statistics import STATISTICS, Summary, estimate
 from ptne_env.evaluation.tracks import Track
-from ptne_env.shared.arrays import FloatArray
+from ptne_env.shared.arrays import FloatArray, data_frame
 from ptne_env.shared.files import DamagedFileError, read_json
 from ptne_env.shared.names import unknown_name
+from ptne_env.shared.style import COLOURS, PRINT, drawing, printed_axes
 
 FORMAT = 8
 """The version of ``results.json``; a file of another version is refused."""
@@ -41,6 +42,12 @@ SHOWN = ("digits", "digits_on_the_way", "digits_cvar")
 
 Samples: TypeAlias = dict[str, FloatArray]
 """Per metric, shape (training seeds, episodes), NaN where an episode has no value; a timing is repeated."""
+
+_LATEX = str.maketrans({
+    **{sign: rf"\{sign}" for sign in "&%$#_{}"}, **{sign: f"{{{sign}}}" for sign in "[]*"}, "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "−": "$-$", "–": "--", "∞": r"$\infty$", "‡": r"$\ddagger$",
+})  # fmt: skip
+"""Signs that mean something else to LaTeX, or nothing."""
 
 Place: TypeAlias = tuple[str, str]
 """The names of a track and of a policy."""
@@ -126,9 +133,7 @@ class Results:
         Raises:
             ValueError: for an unknown metric.
         """
-        if metric not in METRICS:
-            raise ValueError(unknown_name("metric", metric, METRICS))
-        declared = METRICS[metric]
+        declared = _find_metric(metric)
         samples = self.samples.get((track, policy), {}).get(declared.source)
         if samples is None:
             return None
@@ -272,6 +277,58 @@ class Results:
         writer.writerows(rows)
         return buffer.getvalue()
 
+    def to_frame(self) -> Any:
+        """Return the records as a ``pandas.DataFrame``; ``ImportError`` that names the extra if pandas is missing."""
+        return data_frame(self.records)
+
+    def to_latex(self, metric: str = "digits") -> str:
+        """Return a ``tabular`` of LaTeX: a row per track, a column per policy, and a metric with its 95 % interval.
+
+        Raises:
+            ValueError: for an unknown metric.
+        """
+        heading = _find_metric(metric).label
+        rows = [[heading, *(policy.label for policy in self.policies.values())]]
+        for track in self.episodes:
+            places = [(track, name) for name in self.policies]
+            cells = [self.reasons.get(place) or _with_interval(self.summary(*place, metric)) for place in places]
+            rows.append([track, *(cell.partition(":")[0] for cell in cells)])
+        first, *others = (" & ".join(cell.translate(_LATEX) for cell in row) + r" \\" for row in rows)
+        columns = "l" + "r" * len(self.policies)
+        ends = [rf"\begin{{tabular}}{{{columns}}}", r"\hline", first, r"\hline"], [r"\hline", r"\end{tabular}", ""]
+        return "\n".join([*ends[0], *others, *ends[1]])
+
+    def plot(self, metric: str = "digits", axes: Any = None) -> Any:
+        """Draw a metric with its 95 % interval, a row per track and a mark per policy.
+
+        Args:
+            metric: the name of the metric.
+            axes: the axes of matplotlib to draw into; by default those of a new figure, one column wide, which pyplot
+                does not know.
+
+        Returns:
+            The figure.
+
+        Raises:
+            ValueError: for an unknown metric.
+            ImportError: when matplotlib is missing, naming the extra to install.
+        """
+        label, tracks, names = _find_metric(metric).label, list(self.episodes), list(self.policies)
+        with drawing("figures", PRINT):
+            is_new, height = axes is None, 0.7 + (0.11 * len(names) + 0.1) * len(tracks) + 0.1 * len(names)
+            axes = printed_axes(1, height) if is_new else axes
+            for place, name in enumerate(names):
+                found = [self.summary(track, name, metric) or Summary(None, None, None) for track in tracks]
+                ends = np.array([[each.low, each.mean, each.high] for each in found], dtype=np.float64).T
+                rows = np.arange(len(tracks)) + 0.7 * ((place + 0.5) / len(names) - 0.5)
+                style: dict[str, Any] = {"color": COLOURS[place % len(COLOURS)], "fmt": "osD^v"[place % 5]}
+                spread = np.nan_to_num(np.abs(ends[[0, 2]] - ends[1]))
+                axes.errorbar(ends[1], rows, xerr=spread, label=self.policies[name].label, markersize=3, **style)
+            axes.set(xlabel=label, ylim=(len(tracks) - 0.5, -0.5), yticks=range(len(tracks)), yticklabels=tracks)
+            legend = {"loc": "outside upper center", "ncols": 2} if is_new else {}
+            (axes.figure if is_new else axes).legend(**legend)
+            return axes.figure
+
     # --- texts ------------------------------------------------------------------------------------------------------
 
     def standing(self, track: str, policy: str) -> tuple[float, float]:
@@ -326,6 +383,12 @@ def read_results(path: Path) -> dict[str, Any]:
     if data.get("checksum") != content_hash(content):
         raise DamagedFileError(f"{path} was damaged or changed after it was written: run it again")
     return data
+
+
+def _find_metric(name: str) -> Metric:
+    if name not in METRICS:
+        raise ValueError(unknown_name("metric", name, METRICS))
+    return METRICS[name]
 
 
 def _with_interval(summary: Summary | None) -> str:

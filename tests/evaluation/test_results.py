@@ -4,7 +4,9 @@ import csv
 import io
 import json
 import re
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -191,3 +193,40 @@ def test_numbers_beside_the_sealed_ones_do_not_replace_them(results):
 def test_data_of_another_form_are_no_results(results, change):
     with pytest.raises(ValueError, match="not results"):
         Results.from_dict(json.loads(results.to_json()) | change)
+
+
+def test_a_latex_table_has_every_track_and_policy_and_escapes_names():
+    mine = PolicySpec("50%_[mine]", laws.Static)
+    shown = evaluate([mine, "ppo-random-energy"], ["energy", "robots"], episodes=2)
+    first, second = (number(shown.record(track, mine.name, "digits")["mean"]) for track in ("energy", "robots"))
+    lines = shown.to_latex().splitlines()
+    assert lines[0] == r"\begin{tabular}{lrr}"
+    assert lines[2] == r"digits & 50\%\_{[}mine{]} & ppo-random-energy \\"
+    assert lines[4].startswith(f"energy & {first} {{[}}")
+    assert lines[5].startswith(f"robots & {second} {{[}}")
+    assert lines[5].endswith(r" & n/a \\")
+    with pytest.raises(ValueError, match="unknown metric 'digit'; did you mean 'digits'"):
+        shown.to_latex("digit")
+
+
+def test_a_figure_has_a_mark_with_its_interval_per_track_and_policy(results):
+    figure = results.plot()
+    (axes,) = figure.axes
+    tracks = [label.get_text() for label in axes.get_yticklabels()]
+    assert tracks == list(results.episodes)
+    for policy, drawn in zip(results.policies, axes.containers, strict=True):
+        assert drawn.get_label() == results.policies[policy].label
+        shown = drawn.lines[0].get_xdata()
+        for track, value in zip(tracks, shown, strict=True):
+            summary = results.summary(track, policy, "digits")
+            assert value == summary.mean if summary else np.isnan(value)
+    with pytest.raises(ValueError, match="unknown metric 'digit'"):
+        results.plot("digit")
+
+
+def test_a_data_frame_has_the_records_or_the_error_names_the_extra(results, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=list))
+    assert results.to_frame() == list(results.records)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match=r'data frames need pandas: pip install "ptne-env\[pandas\]"'):
+        results.to_frame()
