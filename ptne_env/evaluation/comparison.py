@@ -29,7 +29,7 @@ from ptne_env.evaluation.tracks import Suite, Track, compared_tracks, get_suite
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.observation import LayoutError, ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError
-from ptne_env.shared.arrays import FloatArray, require_count
+from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.parts import names_of
 from ptne_env.world.dynamics import State
 from ptne_env.world.scenario import Scenario
@@ -132,9 +132,7 @@ def draw_start(world: World, episodes: EpisodeSet) -> State:
     return episodes.initial_state(world)
 
 
-Named: TypeAlias = "str | Path | PolicySpec | Policy"
-
-Policies: TypeAlias = "Named | Iterable[Named] | Mapping[str, Any]"
+Policies: TypeAlias = "str | Path | PolicySpec | Policy | Iterable[Any] | Mapping[str, Any]"
 """Policies as :func:`evaluate` takes them."""
 
 Run: TypeAlias = Callable[[Sequence[Job]], list[JobResult]]
@@ -183,8 +181,6 @@ def evaluate(
         TypeError: for an argument of a wrong kind.
         OSError, ImportError, ConnectionError, ChildProcessError: when ``run`` raises them.
     """
-    if episodes is not None:
-        require_count("episodes", episodes, 1)
     if not callable(run):
         raise TypeError(f"run takes jobs, as ptne_env.execution.Runner(folder, Workers(4)) does; got {run!r}")
     if isinstance(scenarios, Suite) or (isinstance(scenarios, str) and scenarios in names_of("suite")):
@@ -207,20 +203,13 @@ def run_suite(
 ) -> Results:
     """Run policies, and the reference policies of the suite, on the tracks of a suite.
 
-    Args:
-        suite: a suite, its name, or a ``"module:object"``.
-        policies: the policies, as for :func:`evaluate`.
-        tracks: one name of a track or several; all tracks if left out.
-        episodes: the number of episodes per track; the suite's own number if left out.
-        seed: the seed of the episode sets; that of published results is 0.
-        split: as for :func:`evaluate`.
-        run: likewise.
-        trust: likewise.
+    Arguments are those of :func:`evaluate`, and ``tracks``, one name or several of tracks; all tracks if left out.
+    Published results have the seed 0.
 
     Raises:
-        ValueError: for unknown or repeated names, or a policy with the name of a reference policy.
+        ValueError: as :func:`evaluate`, and for a policy with the name of a reference policy.
         RuntimeError: when a reference policy fails.
-        OSError, ImportError, ConnectionError, ChildProcessError: as :class:`ptne_env.execution.Runner` raises them.
+        OSError, ImportError, ConnectionError, ChildProcessError: when ``run`` raises them.
     """
     target = suite if isinstance(suite, str) else None
     suite = get_suite(suite)

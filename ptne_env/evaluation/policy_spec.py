@@ -324,11 +324,7 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
 
 
 def read_call(text: str) -> tuple[str, dict[str, Any]] | None:
-    """Return the name and the arguments of a text such as ``"static(kappa=4)"``; ``None`` for one without arguments.
-
-    Raises:
-        ValueError: when the arguments are no constants with names.
-    """
+    """Return name and arguments, if any, of ``"static(kappa=4)"``; ``ValueError`` for other than named constants."""
     if (parts := re.fullmatch(r"([^()=]+)\((.*)\)", text)) is None:
         return None
     try:

@@ -143,10 +143,8 @@ class Suite:
     def scenario(self, track: str) -> Scenario:
         """Return the scenario of a track by name; ``ValueError`` for an unknown one, and for one with teammates."""
         if (found := self.track(track)).teammates is not None:
-            raise ValueError(
-                f"track {track!r} is more than its scenario: some of its players follow a fixed policy; only "
-                "ptne_env.evaluate and 'ptne compare' play it"
-            )
+            plays = "some of its players follow a fixed policy; only ptne_env.evaluate and 'ptne compare' play it"
+            raise ValueError(f"track {track!r} is more than its scenario: {plays}")
         return found.scenario
 
     def episode_set(
@@ -162,11 +160,7 @@ class Suite:
 
 
 def get_suite(suite: str | Suite) -> Suite:
-    """Return a suite by name or by ``"module:object"``, a suite or a function without arguments that makes one.
-
-    Raises:
-        ValueError: for an unknown name, or an object that is not a suite.
-    """
+    """Return a suite by name or ``"module:object"``, also of a function that makes one; else ``ValueError``."""
     made = make(target_of("suite", suite)) if isinstance(suite, str) else suite
     if not isinstance(made, Suite):
         raise ValueError(f"{suite!r} is a {type(made).__name__}, not a Suite")
@@ -176,8 +170,8 @@ def get_suite(suite: str | Suite) -> Suite:
 def find_track(scenario: str | Scenario | Track) -> Track:
     """Return the track of a suite by both names, such as ``"ptne-v1/liar"``, or that of a scenario.
 
-    The first names no number of episodes. A scenario in which nothing is random has one episode. Errors are those of
-    :func:`~ptne_env.world.catalogue.get_scenario`.
+    The first names no number of episodes; that of a scenario in which nothing is random is 1. Errors are those of
+    :func:`ptne_env.get_scenario`.
     """
     if isinstance(scenario, Track):
         return scenario
@@ -202,7 +196,7 @@ def compared_tracks(
     tracks: dict[Track, EpisodeSet] = {}
     for scenario in scenarios:
         track = find_track(scenario)
-        drawn = EpisodeSet(track.episodes or episodes or EPISODES, seed, split)
+        drawn = EpisodeSet(track.episodes or (EPISODES if episodes is None else episodes), seed, split)
         if isinstance(scenario, str) and "/" in scenario:
             suite, name = split_track(scenario)
             drawn = get_suite(suite).episode_set(name, episodes, seed=seed, split=split)

@@ -110,15 +110,9 @@ def names_of(kind: str) -> list[str]:
 
 
 def target_of(kind: str, name: str, *others: str) -> str:
-    """Return the target of a part of a kind by its name, its id or its ``module:object``.
-
-    Raises:
-        ValueError: for an unknown name; the message has the names of parts and the ``others``.
-    """
-    if ":" in name:
-        return name
-    if name in (known := names_of(kind)):
-        return f"{kind}:{name}"
+    """Return the target of a part by its name, id or ``module:object``; ``ValueError`` for a name of no part."""
+    if ":" in name or name in (known := names_of(kind)):
+        return name if ":" in name else f"{kind}:{name}"
     raise ValueError(unknown_name(kind, name, [*known, *others], "'module:object', an object or a FactorySpec"))
 
 
@@ -175,11 +169,7 @@ def resolve(target: str) -> Any:
 
 
 def make(target: str) -> Any:
-    """Return the object that a target names, or what it makes if it is a function or a class without arguments.
-
-    Raises:
-        ValueError: as :func:`resolve`.
-    """
+    """Return what a target names, or what it makes if it is a function or a class; errors are those of resolve."""
     named = resolve(target)
     return named() if callable(named) else named
 
