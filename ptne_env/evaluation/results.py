@@ -301,13 +301,7 @@ class Results:
     def plot(self, metric: str = "digits", axes: Any = None) -> Any:
         """Draw a metric with its 95 % interval, a row per track and a mark per policy.
 
-        Args:
-            metric: the name of the metric.
-            axes: the axes of matplotlib to draw into; by default those of a new figure, one column wide, which pyplot
-                does not know.
-
-        Returns:
-            The figure.
+        It is drawn into ``axes`` of matplotlib, or a new figure, one column wide and unknown to pyplot, and returned.
 
         Raises:
             ValueError: for an unknown metric.

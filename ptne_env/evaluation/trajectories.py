@@ -97,11 +97,7 @@ class Trajectories:
         return columns
 
     def to_frame(self) -> Any:
-        """Return a ``pandas.DataFrame`` of :meth:`columns`.
-
-        Raises:
-            ImportError: when pandas is missing, naming the extra to install.
-        """
+        """Return :meth:`columns` as a ``pandas.DataFrame``; ``ImportError`` that names the extra if it is missing."""
         return data_frame(self.columns())
 
     def save(self, path: str | Path) -> None:
@@ -134,19 +130,15 @@ class Trajectories:
     def plot(self, axes: Sequence[Any] | None = None, *, estimates: bool = False) -> Any:
         """Draw the strategies of the first episode, and the errors of all, over time.
 
-        Thick lines are strategies, dotted lines the equilibrium, and the vertical line the deadline. The error of
-        several episodes is their median, with the band from 10 to 90 %.
+        Dotted lines are the equilibrium, and the vertical line the deadline. Several episodes have the median of their
+        errors, and the band from 10 to 90 %.
 
         Args:
-            axes: the two axes of matplotlib to draw into; by default those of a new figure, one column wide, which
-                pyplot does not know.
+            axes: the two axes to draw into; by default those of a new figure, one column wide and unknown to pyplot.
             estimates: whether thin lines are the estimates of the strategies by the other players.
 
         Returns:
-            The figure.
-
-        Raises:
-            ImportError: when matplotlib is missing, naming the extra to install.
+            The figure of matplotlib; ``ImportError`` that names the extra if it is missing.
         """
         world = self.rollout.world
         with drawing("figures", PRINT):
@@ -219,11 +211,7 @@ def record(
 
 
 def play(track: Track, spec: PolicySpec, episodes: EpisodeSet, kept: int | None = None) -> Trajectories:
-    """Return the trajectories of the first ``kept`` episodes, or of all, with the errors of all.
-
-    Raises:
-        LayoutError, PolicyError: as :func:`record`.
-    """
+    """Return the trajectories of the first ``kept`` episodes, or of all, with all errors; raises as :func:`record`."""
     spec, world = spec.on_scenario(track.scenario.name), track.world
     encoder = Encoder(world, spec.interface)
     start, clock, owners = draw_start(world, episodes), world.clock, world.game.owners

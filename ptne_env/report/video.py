@@ -45,7 +45,7 @@ def save_episode(
         spec: the policy that plays.
         path: the file, with a suffix of :data:`FORMATS`.
         seed: the seed of the episode, where one is drawn.
-        pictures: the number of pictures in a video, evenly spaced in steps; a page shows every step.
+        pictures: the number of pictures in a video, evenly spaced in steps.
         progress: called with the number of pictures that are drawn and the number of pictures.
 
     Raises:

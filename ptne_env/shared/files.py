@@ -117,11 +117,7 @@ def shipped_files(folder: str, *endings: str) -> Mapping[str, Path]:
 
 
 def require_suffix(subject: str, path: Path, known: Iterable[str]) -> str:
-    """Return the suffix of a path in small letters.
-
-    Raises:
-        ValueError: when it is not known; the message begins with the ``subject``, such as "an episode".
-    """
+    """Return the suffix of a path in small letters; ``ValueError`` about the ``subject`` where it is not known."""
     if (suffix := path.suffix.lower()) not in (suffixes := list(known)):
         others = ", ".join(suffixes[:-1])
         raise ValueError(f"{subject} written to a file that ends in {others} or {suffixes[-1]}, got {path.name!r}")

@@ -16,7 +16,7 @@ from ptne_env.learn.npz_policy import open_policy
 from ptne_env.report.tables import leaders
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import read_file, write_atomically
-from ptne_env.shared.style import COLOURS, INK, drawing
+from ptne_env.shared.style import COLOURS, INK, drawing, encode
 from ptne_env.training.configuration import POLICY, RunSummary, write_record
 from ptne_env.world.scenario import Scenario
 
@@ -81,7 +81,6 @@ def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, metric
         ImportError: when matplotlib is missing, naming the extra to install.
         OSError: when the file cannot be written.
     """
-    buffer = io.BytesIO()
     with drawing("learning curves"):
         from matplotlib.figure import Figure
 
@@ -99,5 +98,4 @@ def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, metric
         axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.locator_params(axis="x", nbins=5)  # else labels of millions overlap
         figure.legend(loc="outside lower center", ncols=2)
-        figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
-    write_atomically(path, buffer.getvalue())
+    write_atomically(path, encode(figure, "png", dpi=150))

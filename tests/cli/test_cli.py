@@ -105,7 +105,7 @@ def test_characters_that_the_output_cannot_encode_are_spelled_out(words, printed
         ("compare --suite ptne-v0", "unknown suite 'ptne-v0'; did you mean 'ptne-v1'?"),
         ("compare --suite ptne-v1 nominl", "did you mean 'nominal'?"),
         ("render liar static --out x.gif", "unknown scenario 'liar'; did you mean 'ptne-v1/liar'?"),
-        ("render energy static --out run.avi", "a file that ends in .gif or .html"),
+        ("render energy static --out run.avi", "a file that ends in .gif, .html, .npz,"),
         ("certify energie", "unknown scenario 'energie'"),
         ("certify energy --law statik", "unknown policy 'statik'; did you mean 'static'"),
         ("certify --points 3", "No such option"),

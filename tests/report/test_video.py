@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from ptne_env import get_scenario
+from ptne_env import get_scenario, record
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.report.video import save_episode
 
@@ -55,3 +55,9 @@ def test_other_suffix_or_too_many_pictures_raise_before_anything_runs(world, tmp
         save_episode(world, get_policy_spec("static"), tmp_path / "run.avi")
     with pytest.raises(ValueError, match="at most 500 pictures, got 9999999"):
         save_episode(world, get_policy_spec("static"), tmp_path / "run.gif", pictures=9999999)
+
+
+def test_other_files_hold_the_trajectories_of_record(world, tmp_path):
+    save_episode(world, get_policy_spec("static"), tmp_path / "run.npz", seed=3)
+    run = record("static", world, seed=3)
+    np.testing.assert_array_equal(np.load(tmp_path / "run.npz")["estimates"], run.estimates)
