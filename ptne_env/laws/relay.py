@@ -40,6 +40,16 @@ optimum between 2.5 and 3.5 in all; with longer delays, random worlds that rotat
 _LEAD = 0.5
 """Most steps beside the delay for which a damped response expects the copies to go on, by the same analysis."""
 
+_WINDOW = 3.0
+"""Number of delays over which the directions of responses are averaged: the others answer a move in about two."""
+
+_STEADY, _RATE = 0.6, 0.5
+"""Length of the mean direction at which the damping is right: it is 1 where responses creep, and near 0 where they turn
+back within a window. Per delay, the logarithm of the share of the damping changes by the rate times what is missing."""
+
+_LEAST = 0.125
+"""Smallest share of the damping; smaller ones let responses turn before the mean direction shows it."""
+
 _SHORTEST, _LONGEST = 2.0, 4
 """The shortest delay in steps: that of an answer over one link; and the longest one, in numbers of players: on graphs
 that switch, the first news of a player may take much longer than the later ones."""
@@ -84,6 +94,8 @@ class RelayMemory(NamedTuple):
     noise: Noise  # of their messages
     model: Model  # of the own gradient
     asked: FloatArray  # the displacement that was asked for, shape (R, n)
+    share: FloatArray  # e, of the damping, shape (R, 1)
+    direction: FloatArray  # v, the mean direction of the responses, shape (R, m)
     delay: FloatArray  # T, the step in which the last component had its first source, shape (R, 1)
 
 
@@ -108,14 +120,18 @@ class Relay(RecordLaw):
     4. *Identification.* :func:`~ptne_env.laws.identification.identify` updates the rows G of dF from the changes of own
        estimates and own gradient.
     5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l Σ_{j≠i} G_ij Δx_j), the best response to the copies. D has the
-       eigenvectors of the symmetric part of the own block G_ii, and the eigenvalues d + (1 + T) max(0, S − d), where d
-       is the curvature (|d| plus three standard deviations where it is not certainly positive), S the largest row sum
-       of Σ_{j≠i} |G_ij|, and T the *delay*: the step in which the last component had its first source, from 2 to 4 N.
-       On a fixed graph that is the distance of the farthest player, and m − 1 steps. Where S ≤ d best responses
-       contract in the maximum norm whatever the delays, D is G_ii, and l = 1. In games that rotate they would not; D
-       damps them, and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go on. A component
-       at a bound, which did not move when it was asked to, counts as fixed for the others. No component of the response
-       is larger than the trust region of the model.
+       eigenvectors of the symmetric part of the own block G_ii, and the eigenvalues d + e (1 + T) max(0, S − d), where
+       d is the curvature (|d| plus three standard deviations where it is not certainly positive), S the largest row sum
+       of Σ_{j≠i} |G_ij|, e the *share* of the damping, and T the *delay*: the step in which the last component had its
+       first source, from 2 to 4 N. On a fixed graph that is the distance of the farthest player, and m − 1 steps. Where
+       S ≤ d best responses contract in the maximum norm whatever the delays, D is G_ii, and l = 1. In games that rotate
+       they would not; D damps them, and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go
+       on. A component at a bound, which did not move when it was asked to, counts as fixed for the others. No component
+       of the response is larger than the trust region of the model.
+    6. *Damping.* The damping that suffices for games that rotate is too much for others. So the *share* e, which starts
+       at 1, falls where responses creep in one direction, and rises where they turn back: e ← e exp((0.6 − |v|)/(2 T)),
+       within [1/8, 1], where v ← v + (Δx_i/|Δx_i| − v)/(3 T) is the mean direction, in the maximum norm. Steps that the
+       trust region or the input limit shortens do not count: they have one direction for as long as they are short.
 
     In the first m steps, m being the largest n_i, the copies rest, and one own component after the other moves, so that
     the first changes of messages are noise alone, and the own block of dF is known at once.
@@ -136,9 +152,10 @@ class Relay(RecordLaw):
         self.patience = require_count("patience", patience, 1)
         self.forgetting = require_positive("forgetting", forgetting)
         none, own = np.zeros((1, 1)), np.zeros((1, layout.dimension))
-        messages = np.zeros((1, layout.slots, layout.dimension))
+        messages, first = np.zeros((1, layout.slots, layout.dimension)), np.zeros((1, max(layout.action_dims)))
         noise = Noise(messages, messages, messages[:, :, 0], none, none, none, none, none)
-        self.start = RelayMemory(none, initial_contacts(layout), noise, initial_model(layout), own, none + _SHORTEST)
+        contacts, model = initial_contacts(layout), initial_model(layout)
+        self.start = RelayMemory(none, contacts, noise, model, own, none + 1, first, none + _SHORTEST)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         layout, was, player = self.layout, self.unpack(memory), observation.player
@@ -169,11 +186,14 @@ class Relay(RecordLaw):
         held = (np.abs(moved) < _HELD * np.abs(asked)) & (np.abs(asked) > _RESOLVED * scale)
         is_new = ((contacts.news > was.contacts.news) & ~is_own).any(axis=1, keepdims=True)
         delay = np.where(is_new, np.clip(was.steps, _SHORTEST, _LONGEST * layout.num_players), was.delay)
-        response = _respond(model, drift, blocks, is_own, held, delay)
+        wanted = _respond(model, drift, blocks, is_own, held, delay, was.share)
+        response = shorten(wanted, model.radius)
         response = np.where(is_probe & (np.arange(blocks.shape[1]) != was.steps), 0.0, response)
         displacement = with_own(drift, response, blocks)
         asked = clip_to_reach(displacement, observation, layout)
-        fresh = RelayMemory(was.steps + 1, contacts, noise, model, asked, delay)
+        is_whole = (own_entries(asked, blocks) == wanted).all(axis=1, keepdims=True)
+        share, direction = _adapt(was, wanted, is_whole, delay)
+        fresh = RelayMemory(was.steps + 1, contacts, noise, model, asked, share, direction, delay)
         return per_step(displacement, observation), self.pack(fresh)
 
     def _weigh(self, noise: Noise, mean: FloatArray, steps: FloatArray) -> tuple[Noise, FloatArray]:
@@ -214,8 +234,26 @@ def _measure(observation: Observation, was: Noise, steps: FloatArray, owned: Boo
     )
 
 
+def _adapt(
+    was: RelayMemory, response: FloatArray, is_whole: BoolArray, delay: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the share of the damping (R, 1), and the mean direction after a ``response`` (R, m) if it ``is_whole``."""
+    size = largest(response)
+    counts = is_whole & (size > 0)
+    heading = response / np.where(counts, size, 1.0)
+    direction = np.where(counts, was.direction + (heading - was.direction) / (_WINDOW * delay), was.direction)
+    share = was.share * np.exp(_RATE * (_STEADY - largest(direction)) / delay)
+    return np.where(counts, np.clip(share, _LEAST, 1.0), was.share), direction
+
+
 def _respond(
-    model: Model, drift: FloatArray, blocks: IntArray, is_own: BoolArray, held: BoolArray, delay: FloatArray
+    model: Model,
+    drift: FloatArray,
+    blocks: IntArray,
+    is_own: BoolArray,
+    held: BoolArray,
+    delay: FloatArray,
+    share: FloatArray,
 ) -> FloatArray:
     """Return the damped best response Δx_i to the estimates after a ``drift`` (R, n) of the others, shape (R, m)."""
     curvature, doubt, vectors = own_curvatures(model, blocks, held)
@@ -223,10 +261,10 @@ def _respond(
     others = np.where(is_own[:, None], 0.0, model.rows)
     coupling = np.abs(others).sum(axis=2).max(axis=1, keepdims=True)
     excess = np.maximum(coupling - curvature, 0.0)
-    divisor = curvature + (_DAMPING + delay) * excess
+    divisor = curvature + share * (_DAMPING + delay) * excess
     is_loose = excess.any(axis=1, keepdims=True)
     lead = np.minimum(_LEAD + delay, divisor.min(axis=1, keepdims=True) / np.where(is_loose, coupling, 1.0))
     wanted = model.gradient + np.einsum("rmn,rn->rm", others, np.where(is_loose, lead, 1.0) * drift)
     along = np.einsum("rba,rb->ra", vectors, wanted)
     along = np.where(divisor > 0, along / np.where(divisor > 0, divisor, 1.0), 0.0)
-    return shorten(-np.einsum("rab,rb->ra", vectors, along), model.radius)
+    return -np.einsum("rab,rb->ra", vectors, along)

@@ -7,14 +7,14 @@ from worlds import BLOCKS, BLOCKS_SWITCHING, begin, channel_part, fixed_part, wo
 
 from ptne_env import FactorySpec, evaluate, get_scenario, laws
 from ptne_env.laws import relay
-from ptne_env.laws.identification import initial_model
+from ptne_env.laws.identification import initial_model, shorten
 from ptne_env.suites import get_suite
 from ptne_env.world import dynamics
 
 RANDOM = get_scenario("random-energy")
 
 
-def response(rows, gradient, drift, radius=1e6, covariance=0.0, held=False):
+def response(rows, gradient, drift, radius=1e6, covariance=0.0, held=False, share=1.0):
     """Displacement of a player whose m own components come first, and who knows its rows."""
     rows = np.asarray(rows, dtype=float)[None]
     m, n = rows.shape[1:]
@@ -24,14 +24,16 @@ def response(rows, gradient, drift, radius=1e6, covariance=0.0, held=False):
         gradient=np.array(gradient, dtype=float)[None],
         radius=np.full((1, 1), radius),
     )
-    return relay._respond(
+    wanted = relay._respond(
         model,
         np.array(drift, dtype=float)[None],
         np.arange(m)[None],
         np.arange(n)[None] < m,
         np.broadcast_to(held, (1, m)),
         np.full((1, 1), 2.0),
-    )[0]
+        np.full((1, 1), share),
+    )
+    return shorten(wanted, model.radius)[0]
 
 
 def test_best_response_zeroes_the_own_gradient_at_the_next_estimates():
@@ -50,6 +52,7 @@ def test_best_response_zeroes_the_own_gradient_at_the_next_estimates():
             {},
             [-0.4],
         ),  # damped: the curvature 1 and, with a delay of 2, three times the excess of 3
+        ([[1.0, 2.0, -2.0]], [4.0], {"share": 0.5}, [-4 / 5.5]),
         ([[-2.0, 0.0]], [4.0], {}, [-2.0]),  # a negative curvature gives a gradient step
         ([[0.0, 0.0]], [6.0], {"covariance": 100.0}, [-6 / 30]),  # and an unknown one a short step
         ([[0.0, 0.0]], [6.0], {}, [0.0]),  # without curvature there is no step
@@ -64,6 +67,30 @@ def test_response_is_cautious(rows, gradient, arguments, expected):
 def test_a_damped_response_expects_copies_to_go_on():
     assert response([[1.0, 4.0]], [0.0], [0.0, 1.0]) == pytest.approx([-2.5 * 4 / 10])
     assert response([[5.0, 4.0]], [0.0], [0.0, 1.0]) == pytest.approx([-4 / 5])
+
+
+def adapt(responses, delay=2.0, is_whole=True, share=1.0):
+    """Shares of the damping after each of some responses of one player."""
+    memory = laws.Relay(world_and_encoder("energy")[1].layout).start._replace(share=np.full((1, 1), share))
+    shares = []
+    for response in responses:
+        whole, delays = np.full((1, 1), is_whole), np.full((1, 1), delay)
+        now, direction = relay._adapt(memory, np.array([[response]]), whole, delays)
+        memory = memory._replace(share=now, direction=direction)
+        shares.append(now.item())
+    return shares
+
+
+def test_responses_that_creep_are_damped_less_and_those_that_turn_back_more():
+    steady = np.cumprod(np.full(40, 0.9))  # after k of them, |v| = 1 − (5/6)^k, which exceeds 0.6 from the sixth on
+    shares = adapt(steady)
+    assert shares[:5] == [1.0] * 5
+    lengths = 1 - (5 / 6) ** np.arange(6, 9)
+    assert shares[5:8] == pytest.approx(np.exp(np.cumsum(0.6 - lengths) / 4))
+    assert shares[-1] == 0.125
+    assert adapt(steady * (-1) ** np.arange(40), share=0.5)[-1] == 1
+    assert adapt(steady, is_whole=False) == [1.0] * 40  # shortened steps say nothing
+    assert adapt([0.0] * 40) == [1.0] * 40
 
 
 def starts(scale, **changes):
@@ -126,6 +153,14 @@ def test_the_delay_is_the_distance_of_the_farthest_player_on_a_fixed_graph():
         actions, memory = law.predict(rows, memory)
         state = dynamics.step(world, state, encoder.decode(actions[None], state))
     assert law.unpack(memory).delay.ravel().tolist() == [5, 4, 3, 3, 4, 5]
+
+
+def test_damping_that_no_rotation_needs_falls():
+    """The couplings of this potential game exceed its curvatures, so best responses are damped; none turns back."""
+    matrix = 0.2 * np.eye(4) + np.ones((4, 4))
+    world, encoder = world_and_encoder(affine_scenario(matrix, np.arange(4.0), fixed_part(1 - np.eye(4))))
+    states = run(world, encoder, laws.Relay(encoder.layout), loop_start(world))[..., 0]
+    assert np.abs(states[150] - world.game.nash_equilibrium[:, None]).max() < 1e-3  # 0.03 with all the damping
 
 
 def test_two_players_who_chase_each_other_meet():
