@@ -144,7 +144,8 @@ class PolicySpec:
 
         Raises:
             LayoutError: when the policy was made for another layout, or has one file per track, and none for this one.
-            PolicyError: when building it raises any other error, or what was built has no ``predict``.
+            PolicyError: when building it raises any other error, what was built has no ``predict``, or it sends code
+                and the source does not say so.
         """
         source = self.training_seeds[training_seed]
         if by_track := _files_by_track(source):
@@ -166,6 +167,11 @@ class PolicySpec:
         if not hasattr(built, "predict"):
             made = "it is" if built is source else "called with the layout, it returned"
             raise PolicyError(f"{made} a {type(built).__name__} without predict(observation, state, ...)")
+        if getattr(built, "sends_code", False) and not _declared(source, "sends_code"):
+            raise PolicyError(
+                f"called with the layout, it returned a {type(built).__name__}, whose messages are no estimates: so "
+                "that tables mark it, what is called needs the attribute sends_code = True, too"
+            )
         return as_trained(built)
 
     def to_dict(self) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from ptne_env.evaluation import COMPARED, POLICIES, get_policy_spec
 from ptne_env.evaluation.comparison import as_list
 from ptne_env.learn import shipped_path
 from ptne_env.perception.encoder import Encoder
+from ptne_env.perception.policy import PolicyError
 from ptne_env.world.world import World
 
 
@@ -147,6 +148,21 @@ def test_a_model_with_another_interface_is_refused_with_advice():
     with pytest.raises(ValueError, match=r"shape \(28,\).*'scaled'\) has \(24,\).*PolicySpec\(name, model, "):
         evaluate(PolicySpec("mine", model), BASE, episodes=1)
     assert evaluate(PolicySpec("mine", model, Interface("physical")), BASE, episodes=1).samples
+
+
+def test_a_function_says_that_its_policy_sends_code():
+    """Otherwise tables would rank it among policies whose messages are their estimates."""
+
+    def make(layout):
+        return laws.Coded(layout, laws.Static)
+
+    layout = Encoder(World(BASE), Interface("physical")).layout
+    with pytest.raises(PolicyError, match="returned a Coded, whose messages are no estimates: .* sends_code = True"):
+        PolicySpec("mine", make, Interface("physical")).build(layout)
+    make.sends_code = True
+    spec = PolicySpec("mine", make, Interface("physical"))
+    assert spec.build(layout).sends_code
+    assert spec.mark == "‡"
 
 
 class Broken(laws.Static):
