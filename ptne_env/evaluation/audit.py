@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.perception.policy import Policy, PolicyError, decision
+from ptne_env.perception.policy import Policy, PolicyError, RunningPolicy
 from ptne_env.shared.arrays import Float32Array, IntArray
 
 WITNESSES = 8
@@ -58,24 +58,16 @@ class Witness:
     """
 
     def __init__(self, policy: Policy, rows: IntArray, reason: str = NOT_ROW_WISE, *, fills: bool = False) -> None:
-        self._policy, self._rows, self._reason, self._fills = policy, rows, reason, fills
-        self._memory: Any = None
-        self._is_first = True
+        self._policy, self._rows, self._reason, self._fills = RunningPolicy(policy), rows, reason, fills
 
     def compare(self, observations: Float32Array, actions: npt.NDArray[Any]) -> None:
-        """Compare the decisions of the witness with the ``actions`` of the policy that is measured, all of R rows.
-
-        Raises:
-            AuditError: when a decision differs.
-        """
+        """Raise ``AuditError`` where a decision differs from ``actions``, those of the policy that is measured."""
         shown = rows = self._rows
         places: Any = slice(None)
         if self._fills:
             shown, places = np.resize(rows, len(observations)), rows
             shown[rows] = rows
-        starts = np.full(len(shown), self._is_first)
-        again, self._memory = decision(self._policy, observations[shown], self._memory, starts)
-        self._is_first = False
+        again = self._policy.decide(observations[shown])
         if not np.array_equal(np.asarray(again)[places], actions[rows]):
             raise AuditError(self._reason)
 

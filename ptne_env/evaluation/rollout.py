@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ptne_env.evaluation.audit import Witness
 from ptne_env.games import NoBestResponseError
 from ptne_env.perception.encoder import Encoder, find_action_fault
-from ptne_env.perception.policy import Policy, PolicyError, decision, describe
+from ptne_env.perception.policy import Policy, PolicyError, RunningPolicy, describe
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, ordered_sum
 from ptne_env.shared.names import unknown_name
 from ptne_env.world import distances, dynamics
@@ -110,8 +110,6 @@ def record_messages(world: World, before: State | None, state: State) -> dict[st
 class Member:
     """A policy that decides for some of the players through its own encoder.
 
-    The policy is called with ``deterministic=True``, and its memory is passed back to it unread.
-
     Attributes:
         players: the indices of the players for which it decides.
         witnesses: the witnesses that audit its decisions.
@@ -121,12 +119,9 @@ class Member:
     def __init__(
         self, policy: Policy, encoder: Encoder, players: Sequence[int], witnesses: Sequence[Witness] = ()
     ) -> None:
-        self.policy, self.encoder = policy, encoder
+        self.encoder, self.witnesses, self._policy = encoder, witnesses, RunningPolicy(policy)
         self.players = np.array(players, dtype=np.int64)
-        self.witnesses = witnesses
         self.seconds = 0.0
-        self._memory: Any = None
-        self._episode_start = np.zeros(0, dtype=np.bool_)  # before the first decision
 
     def decide(self, state: State) -> FloatArray:
         """Return inputs u of shape (n, N, B), which are 0 for all other players.
@@ -138,8 +133,6 @@ class Member:
         layout, batch = self.encoder.layout, dynamics.batch_size(state)
         rows = len(self.players) * batch
         is_alone = len(self.players) == layout.num_players
-        if not self._episode_start.size:
-            self._episode_start = np.ones(rows, dtype=np.bool_)
         observations = self.encoder.observe(state)
         if not is_alone:
             observations = observations[:, self.players]
@@ -162,9 +155,8 @@ class Member:
         """Ask the policy for actions (R, action size) at observations (R, size), check and audit them."""
         started = perf_counter()
         given = observations.copy() if self.witnesses else observations  # a policy may write into what it is given
-        answer, self._memory = decision(self.policy, given, self._memory, self._episode_start)
+        answer = self._policy.decide(given)
         self.seconds += perf_counter() - started
-        self._episode_start = np.zeros_like(self._episode_start)
         rows = len(observations)
         if fault := find_action_fault(answer, (rows, self.encoder.layout.action_size)):
             raise PolicyError(f"its answer to {rows} observations {fault}")

@@ -226,6 +226,7 @@ class RandomAffine(GameFamily):
             require_positive("epsilon", self.epsilon)
         for dim in self.action_dims:
             require_count("action_dim", dim, 1)
+        vars(self)["is_strongly_monotone"] = None if self.epsilon else False
         _ = self.representative  # refuses an empty box
 
     @cached_property
@@ -240,14 +241,9 @@ class RandomAffine(GameFamily):
             )
         return tuple(dims)
 
-    @property
-    def is_strongly_monotone(self) -> bool | None:
-        """``False`` for ε = 0; otherwise a world checks every draw."""
-        return None if self.epsilon else False
-
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
-        n = sum(self.action_dims)
-        owners = np.repeat(np.arange(len(self.action_dims)), self.action_dims)
+        owners = np.repeat(np.arange(self.players), self.action_dims)
+        n = owners.size
         normal = np.stack([generator.normal(size=(2, n, n)) for generator in generators])
         unit = np.stack([generator.random((2, n)) for generator in generators])
         orthogonal = np.linalg.qr(normal[:, 0])[0].transpose(1, 2, 0)

@@ -160,10 +160,8 @@ class Game(Part, ABC):
     def regrets(self, strategies: FloatArray) -> FloatArray:
         """J_i(x) − min over y in the box of J_i(y, x_{-i}) ≥ 0 of every player: (n, B) to (N, B).
 
-        Their sum over players is the Nikaido–Isoda regret, 0 exactly at an equilibrium.
-
-        Raises:
-            NoBestResponseError: as :meth:`best_response`.
+        Their sum over players is the Nikaido–Isoda regret, 0 exactly at an equilibrium. Errors are those of
+        :meth:`best_response`.
         """
         return self._savings(strategies, self.best_response(strategies))
 
@@ -242,10 +240,8 @@ class Game(Part, ABC):
     def map_columns(self, function: Callable[..., FloatArray], *others: Game) -> Game:
         """Return the batch whose parameters are a function of those of several games, of which one is a batch at least.
 
-        Games are the last axis of the function's arrays. A game that is no batch, alone or with itself, is returned.
-
-        Raises:
-            TypeError: when the games are of several kinds, or none is a batch.
+        Games are the last axis of the function's arrays. A game that is no batch, alone or with itself, is returned. It
+        is a ``TypeError`` when the games are of several kinds, or several and none a batch.
         """
         games = (self, *others)
         batch = next((game for game in games if game.is_batch), None)
@@ -312,10 +308,8 @@ class Game(Part, ABC):
     def regret_scale(self) -> FloatArray:
         """The unit of regrets in rewards: the mean over players at a relative distance of 1 from x*. Shape (G,).
 
-        The point is x* + ‖x*‖/√n in all components. The unit is 1 where rounding leaves nothing of a regret.
-
-        Raises:
-            NoBestResponseError: as :meth:`best_response`.
+        The point is x* + ‖x*‖/√n in all components. The unit is 1 where rounding leaves nothing of a regret. Raises as
+        :meth:`best_response`.
         """
         xp = array_namespace(self.nash_equilibria)
         regrets = self.regrets(self.nash_equilibria + self.equilibrium_scale / math.sqrt(self.dimension))
@@ -324,12 +318,7 @@ class Game(Part, ABC):
 
     @property
     def nash_equilibrium(self) -> FloatArray:
-        """x* of a single game, shape (n,), read-only.
-
-        Raises:
-            ValueError: for a batch of games, which has ``nash_equilibria``.
-            ArithmeticError: as ``nash_equilibria``.
-        """
+        """x* of a single game, shape (n,), read-only; ``ValueError`` for a batch, which has ``nash_equilibria``."""
         if self.batch_size != 1:
             raise ValueError(f"a batch of {self.batch_size} games has nash_equilibria, one column each")
         return self.nash_equilibria[:, 0]
@@ -399,13 +388,9 @@ class Game(Part, ABC):
 class GameFamily(Part, ABC):
     """A distribution of games with the same players and dimensions."""
 
-    @property
-    def is_strongly_monotone(self) -> bool | None:
-        """Whether Assumption 4 holds for all members by construction, or is given up.
-
-        ``None`` where a world checks it for every draw, which must then be affine.
-        """
-        return None
+    is_strongly_monotone: ClassVar[bool | None] = None
+    """Whether Assumption 4 holds for all members by construction, or is given up; ``None`` where a world checks it for
+    every draw, which must then be affine."""
 
     @cached_property
     def representative(self) -> Game:
@@ -418,11 +403,7 @@ class GameFamily(Part, ABC):
 
 
 def require_strong_monotonicity(game: Game) -> None:
-    """Check Assumption 4 on every game of a batch with affine F, whose Jacobian is the same everywhere.
-
-    Raises:
-        ValueError: naming the first game whose dF has no positive definite symmetric part.
-    """
+    """Raise ``ValueError`` for a batch of games, unless F is affine and dF + dFᵀ positive definite (Assumption 4)."""
     if not game.is_affine:
         raise ValueError(
             f"strong monotonicity of {type(game).__name__} cannot be decided: F is not affine; a family of such games "

@@ -151,23 +151,18 @@ class RandomEnergy(GameFamily):
         self._game(np.zeros(2 * self.players + 1))  # refuses extreme parameters now instead of during a run
 
     @cached_property
-    def _ranges(self) -> FloatArray:
-        """The smallest and the largest value of each parameter, shape (2, 2 N + 1)."""
-        ranges = [self.curvature] * self.players + [self.target] * self.players + [self.coupling]
-        return np.array(ranges, dtype=np.float64).T
-
-    @cached_property
     def representative(self) -> Game:
         """The game in the middle of the ranges."""
         return self._game(np.full(2 * self.players + 1, 0.5))
 
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
-        size = 2 * self.players + 1
-        return self._game(np.stack([generator.random(size) for generator in generators], axis=-1))
+        return self._game(np.stack([generator.random(2 * self.players + 1) for generator in generators], axis=-1))
 
     def columns(self, unit: FloatArray) -> dict[str, FloatArray]:
         """Return the parameters of games by name, made from U(0, 1), (2 N + 1,) or (2 N + 1, G)."""
-        players, (low, high) = self.players, self._ranges if unit.ndim == 1 else self._ranges[..., None]
+        players, games = self.players, unit.shape[1:]
+        ranges = np.array([self.curvature] * players + [self.target] * players + [self.coupling], dtype=np.float64)
+        low, high = ranges.T.reshape(2, -1, *(1 for _ in games))
         numbers = low + (high - low) * unit
         return {"curvature": numbers[:players], "target": numbers[players:-1], "coupling": numbers[-1]}
 

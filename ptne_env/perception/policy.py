@@ -34,21 +34,33 @@ def describe(error: BaseException) -> str:
     return "".join(character if character.isprintable() else " " for character in text)
 
 
-def decision(policy: Policy, observation: Float32Array, state: Any, episode_start: BoolArray) -> tuple[Any, Any]:
-    """Ask a policy for deterministic actions and its memory; the arguments are those of ``predict``.
+class RunningPolicy:
+    """A policy in a batch of episodes that start together. Its memory is passed back to it unread."""
 
-    Raises:
-        PolicyError: when the answer is not a pair.
-    """
-    try:
-        answer = policy.predict(observation, state, episode_start, deterministic=True)
-    except TypeError:
+    def __init__(self, policy: Policy) -> None:
+        self._policy, self._is_first = policy, True
+        self._memory: Any = None
+
+    def decide(self, observations: Float32Array) -> Any:
+        """Return deterministic actions for observations, shape (R, size).
+
+        Raises:
+            PolicyError: when ``predict`` takes other arguments, or does not return a pair.
+        """
+        arguments = observations, self._memory, np.full(len(observations), self._is_first)
         try:
-            signature(policy.predict).bind(observation, state, episode_start, deterministic=True)
-        except TypeError as error:
-            raise PolicyError(f"expected predict(observation, state, episode_start, deterministic): {error}") from error
-        raise
-    return pair(answer, "predict returns (actions, state)")
+            answer = self._policy.predict(*arguments, deterministic=True)
+        except TypeError:
+            try:
+                signature(self._policy.predict).bind(*arguments, deterministic=True)
+            except TypeError as error:
+                raise PolicyError(
+                    f"expected predict(observation, state, episode_start, deterministic): {error}"
+                ) from error
+            raise
+        actions, self._memory = pair(answer, "predict returns (actions, state)")
+        self._is_first = False
+        return actions
 
 
 def pair(answer: Any, expected: str) -> tuple[Any, Any]:

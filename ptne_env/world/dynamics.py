@@ -76,10 +76,8 @@ class State(NamedTuple):
 def draw_initial_state(world: World, streams: Sequence[RandomStreams], estimates: FloatArray | None = None) -> State:
     """Draw the game, start and randomness of episodes, one per entry of ``streams``, and return their state at t = 0.
 
-    Initial ``estimates``, shape (n, N, B), replace drawn ones.
-
-    Raises:
-        ValueError: when a drawn game is not strongly monotone, or as :func:`initial_state`.
+    Initial ``estimates``, shape (n, N, B), replace drawn ones. Raises as :meth:`World.draw_game` and
+    :func:`initial_state`.
     """
     game = world.draw_game(streams)
     if estimates is None:

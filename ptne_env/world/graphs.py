@@ -120,11 +120,7 @@ def circulant(players: int, offsets: Sequence[int]) -> Graph:
 
 
 def from_edges(players: int, edges: Iterable[Sequence[int]]) -> Graph:
-    """Return the graph with weight 1 on each listed pair of players 0..N−1.
-
-    Raises:
-        ValueError: when a pair names a player outside 0..N−1.
-    """
+    """Return the graph with weight 1 on each listed pair of players 0..N−1; ``ValueError`` for a player outside."""
     matrix = np.zeros((require_count("players", players, 2),) * 2)
     for edge in edges:
         if len(edge) != 2 or not all(0 <= player < players for player in edge):

@@ -136,10 +136,8 @@ class Reward:
     def step(self, state: State) -> dict[str, FloatArray]:
         """Return the value of each term for the step that ended in ``state``, each of shape (N, B).
 
-        An episode that diverges in the step is charged for all that remain, and no more afterwards.
-
-        Raises:
-            ValueError: when a function returns something else than finite numbers of shape (N, B) or (B,).
+        An episode that diverges in the step is charged for all that remain, and no more afterwards. It is a
+        ``ValueError`` when a function returns something else than finite numbers of shape (N, B) or (B,).
         """
         before, values = self._values, self._measure(state, self._names)
         self._values, terms = values, values.copy()
@@ -190,8 +188,7 @@ def _takes_a_step(reward: Any) -> bool:
 
 def measure_distances(state: State) -> FloatArray:
     """Return d^i, shape (N, B), with the limit where an environment has diverged."""
-    distance = distances.player_distances(state.estimates, state.game)
-    return limit_distance(state, distance) if state.any_diverged else distance
+    return limit_distance(state, distances.player_distances(state.estimates, state.game))
 
 
 def limit_distance(state: State, distance: FloatArray) -> FloatArray:

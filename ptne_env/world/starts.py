@@ -23,8 +23,7 @@ class Start(Part, ABC):
     def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:
         """Return the initial estimates of one environment, shape (n, N); column i is x^i(0).
 
-        Raises:
-            ValueError: when the start is for another number of players or another dimension.
+        It is a ``ValueError`` when the start is for another number of players or another dimension.
         """
 
 

@@ -114,8 +114,7 @@ class SwitchingTopology(Part):
     def schedule(self, instants: npt.ArrayLike) -> Schedule:
         """Return the schedule at ``instants`` (any shape) of the topology's clock.
 
-        Raises:
-            ValueError: when an instant is negative, or every episode draws its own schedule.
+        It is a ``ValueError`` when an instant is negative, or every episode draws its own schedule.
         """
         self._require_certain("schedule")
         times = _instants(instants)
@@ -131,20 +130,13 @@ class SwitchingTopology(Part):
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
         """Draw the schedules of B episodes, one per generator, at increasing ``instants`` (K,) of the topology's clock.
 
-        Their arrays have the shape (K, B). A topology that is not random draws nothing.
-
-        Raises:
-            ValueError: when an instant is negative.
+        Their arrays have the shape (K, B). A topology that is not random draws nothing. Raises as :meth:`schedule`.
         """
         (modes, age), batch = self.schedule(instants), len(generators)
         return Schedule(np.tile(modes[:, None], batch), np.tile(age[:, None], batch))
 
     def switches(self, start: float, end: float) -> FloatArray:
-        """Return the switching instants in the open interval (start, end), in the unit of the clock.
-
-        Raises:
-            ValueError: when every episode draws its own.
-        """
+        """Return the switching instants in (start, end), in the unit of the clock; raises as :meth:`schedule`."""
         self._require_certain("switching instants")
         if self.is_fixed:
             return np.empty(0)
@@ -256,9 +248,7 @@ def from_function(
     The signal returns a :class:`Graph` or what makes one. It is called here alone, at ``samples`` times from 0 to
     ``end`` and near switches, which are found to 1e-12 of ``end``; of several switches between two of these times, only
     one is found. The topology holds graphs and dwells, as any other, so it can be stored and sent to worker processes.
-
-    Raises:
-        ValueError: for a number out of range, or a graph that is none.
+    It is a ``ValueError`` when a number is out of range, or a graph is none.
     """
     grid = np.linspace(0.0, require_positive("end", end), require_count("samples", samples, 2), endpoint=False)
     graphs, switches, before = [as_graph(signal(0.0))], [0.0], 0.0
