@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -31,9 +30,7 @@ from ptne_env.perception.observation import LayoutError, ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.parts import names_of
-from ptne_env.world.dynamics import State
 from ptne_env.world.scenario import Scenario
-from ptne_env.world.world import World
 
 ZERO, LAW, ORACLE = REFERENCES = "zero-input", "static", "oracle"
 """The reference policies that every run of a suite includes: zero input with score 0, the paper's law, an oracle."""
@@ -82,7 +79,7 @@ class Job:
         audited = thorough or self.policy.is_own
         try:
             encoder = Encoder(world, self.policy.interface)
-            start = draw_start(world, self.episodes)
+            start = self.episodes.initial_state(world)
             for fills in (False, True):
                 policy = self.policy.build(encoder.layout, self.training_seed)
                 witnesses = self._witnesses(encoder.layout, deciding, thorough=thorough, fills=fills) if audited else ()
@@ -124,12 +121,6 @@ class Job:
 def _round_values(values: FloatArray) -> FloatArray:
     """Round to 7 significant decimals, which a file holds exactly; all tables follow from these numbers."""
     return np.array([float(f"{value:.7g}") for value in values.tolist()])
-
-
-@lru_cache(maxsize=2)  # jobs with the same episodes follow each other
-def draw_start(world: World, episodes: EpisodeSet) -> State:
-    """Return the initial state of all episodes."""
-    return episodes.initial_state(world)
 
 
 Policies: TypeAlias = "str | Path | PolicySpec | Policy | Iterable[Any] | Mapping[str, Any]"
@@ -229,11 +220,7 @@ def run_suite(
 
 
 def as_list(things: Any) -> list[Any]:
-    """Return one thing, or several, as a list.
-
-    Raises:
-        TypeError: for an object that is none of the things to compare, such as an environment.
-    """
+    """Return one thing, or several, as a list; ``TypeError`` for what cannot be compared, such as an environment."""
     if isinstance(things, str | Path | PolicySpec | Scenario | Track) or hasattr(things, "predict"):
         return [things]
     if isinstance(things, type) or not isinstance(things, Iterable):
@@ -268,8 +255,7 @@ def compare(
 ) -> Results:
     """Run every policy on every track, in the order of tables; the rest is as in :class:`Results`.
 
-    Raises:
-        ValueError: for repeated names or no policy, or when a policy fits no track.
+    It is a ``ValueError`` for repeated names or no policy, or when a policy fits no track.
     """
     specs = {spec.name: spec for spec in policies}
     if not specs:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from hashlib import sha256
 from typing import Literal, TypeAlias, get_args
 
@@ -84,11 +85,8 @@ class EpisodeSet:
             return episode_seed(self.seed, episode, self.split)
         return track_seed(*self.track, self.split, self.seed, episode)
 
+    @lru_cache(maxsize=2)  # noqa: B019 - jobs with the same episodes follow each other, and two states are little
     def initial_state(self, world: World) -> State:
-        """Draw the initial state of all episodes, with games, estimates and randomness.
-
-        Raises:
-            ValueError: when a drawn game is not strongly monotone.
-        """
+        """Draw the initial state of all episodes, as :func:`~ptne_env.world.dynamics.draw_initial_state` does."""
         streams = [RandomStreams.from_seed(self.episode_seed(episode)) for episode in range(self.count)]
         return draw_initial_state(world, streams)

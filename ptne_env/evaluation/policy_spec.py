@@ -68,15 +68,12 @@ class PolicySpec:
                     f"policy {self.name!r} is {source!r}: give a FactorySpec, a class or function that is called with "
                     "the layout, or an object with predict; get_policy_spec('static') is the policy of a name"
                 )
-        interfaces = {_declared_interface(source) for source in self.training_seeds}
+        interfaces = {_as_interface(_declared(source, "interface")) for source in self.training_seeds}
         if len(interfaces) > 1:
             raise ValueError(
                 f"the training seeds of policy {self.name!r} have different interfaces: they are no one policy"
             )
-        (declared,) = interfaces
-        asked: Any = self.interface
-        if not isinstance(asked, Interface | None):
-            asked = Interface(asked)  # which checks it
+        (declared,), asked = interfaces, _as_interface(self.interface)
         if None not in (declared, asked) and declared != asked:
             raise ValueError(f"policy {self.name!r} declares the interface {declared}: it cannot act through {asked}")
         object.__setattr__(self, "interface", declared or asked or Interface())
@@ -214,6 +211,11 @@ def _require_observations_of(layout: ObservationLayout, model: Any) -> None:
         )
 
 
+def _as_interface(interface: Any) -> Interface | None:
+    """Return an interface that may be given by its kind, which is checked."""
+    return interface if isinstance(interface, Interface | None) else Interface(interface)
+
+
 def _declared(source: PolicySource, attribute: str) -> Any:
     """Return an attribute that a policy declares, as a class, as an object or in its file; ``None`` if it does not."""
     policy: Any = source
@@ -221,13 +223,6 @@ def _declared(source: PolicySource, attribute: str) -> Any:
         source = next(iter(_files_by_track(source).values()), source)
         policy = source.build() if format_of(source) else resolve(source.target)
     return getattr(policy, attribute, None)
-
-
-def _declared_interface(source: PolicySource) -> Interface | None:
-    """Return the interface that a policy declares."""
-    declared: Any = _declared(source, "interface")
-    kind: Any = declared
-    return Interface(kind) if isinstance(declared, str) else declared
 
 
 def _file_of(source: PolicySource) -> str | None:
@@ -268,9 +263,6 @@ class _Policies(Mapping[str, PolicySpec]):
 
     def __len__(self) -> int:
         return len(TABLE)
-
-    def __contains__(self, name: object) -> bool:
-        return name in TABLE
 
 
 @cache

@@ -7,6 +7,7 @@ import math
 import platform
 import reprlib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import cache
 from hashlib import file_digest, sha256
 from importlib import metadata
@@ -29,8 +30,7 @@ def content_hash(value: Any) -> str:
             return {key: without_none(child) for key, child in item.items() if child is not None}
         return [without_none(child) for child in item] if isinstance(item, list | tuple) else item
 
-    canonical = without_none(value)
-    text = json.dumps(canonical, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    text = json.dumps(without_none(value), sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return sha256(text.encode()).hexdigest()
 
 
@@ -75,12 +75,10 @@ def file_hash(path: str | Path) -> str | None:
 
 def versions(others: Iterable[str] = ()) -> dict[str, str]:
     """Return the versions of the library, of :data:`LIBRARIES`, and of those of ``others`` that are installed."""
-    installed = {"ptne_env": __version__, **{library: metadata.version(library) for library in LIBRARIES}}
-    for library in others:
-        try:
+    installed = {"ptne_env": __version__}
+    for library in (*LIBRARIES, *others):
+        with suppress(metadata.PackageNotFoundError):
             installed[library] = metadata.version(library)
-        except metadata.PackageNotFoundError:
-            continue
     return installed
 
 

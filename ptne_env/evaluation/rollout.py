@@ -186,8 +186,7 @@ def rollout(
         witnesses: the witnesses that audit the decisions of ``policy``.
 
     Raises:
-        PolicyError: when a policy raises, answers with anything but finite actions of the right shape, or does not
-            pass the audit.
+        PolicyError: as :meth:`Member.decide`.
     """
     world, batch = encoder.world, dynamics.batch_size(start)
     clock, players = world.clock, range(world.game.num_players)

@@ -144,8 +144,7 @@ def differ_by_rounding(old: FloatArray, new: FloatArray, level: float) -> bool:
 def tail_values(samples: FloatArray) -> FloatArray:
     """Return values whose mean is the conditional value at risk, the mean of the worst tenth of the episodes.
 
-    The samples, (training seeds, episodes), where low ones are bad, and the values have the same shape; all values are
-    NaN if a sample is.
+    Samples and values are as for :func:`median_values`; low samples are bad.
 
     The worst tenth has k ≥ 1 of the E episodes. With q the worst of the others, x becomes q + min(x − q, 0) E/k
     (Rockafellar and Uryasev 2000). The interval of the mean is that of the CVaR, because q moves it in second order
@@ -162,8 +161,7 @@ def tail_values(samples: FloatArray) -> FloatArray:
     excess = np.minimum(samples - quantile, 0) * (episodes / count)
     mean = excess.mean(axis=-1, keepdims=True)
     at_tail, at_all = special.stdtrit([count, episodes - 1], (1 + CONFIDENCE) / 2)
-    values: FloatArray = quantile + mean + (excess - mean) * (at_tail / at_all)
-    return values
+    return np.asarray(quantile + mean + (excess - mean) * (at_tail / at_all))
 
 
 def median_values(samples: FloatArray) -> FloatArray:

@@ -30,11 +30,7 @@ class Teammates:
     players: tuple[int, ...]
 
     def join(self, world: World) -> Member:
-        """Let the teammates act in a world.
-
-        Raises:
-            ValueError: when their policy cannot act there.
-        """
+        """Let the teammates act in a world; a ``ValueError`` where their policy cannot."""
         spec = PolicySpec("teammates", self.policy)
         encoder = Encoder(world, spec.interface)
         return Member(spec.build(encoder.layout), encoder, self.players)
@@ -152,8 +148,7 @@ class Suite:
     ) -> EpisodeSet:
         """Return the episodes of a track, whose own number stands before ``episodes``, and that before the suite's.
 
-        Raises:
-            ValueError: for an unknown track or split, or a number out of range.
+        It is a ``ValueError`` for an unknown track or split, or a number out of range.
         """
         count = self.track(track).episodes or (self.episodes if episodes is None else episodes)
         return EpisodeSet(count, seed, split, (self.name, track))
@@ -190,8 +185,7 @@ def compared_tracks(
 ) -> dict[Track, EpisodeSet]:
     """Return the tracks of what :func:`ptne_env.evaluate` takes, and their episodes: a suite's where it names a track.
 
-    Raises:
-        ValueError, TypeError: as :func:`find_track`, and for repeated names or none.
+    Errors are those of :func:`find_track`, and ``ValueError`` for repeated names or none.
     """
     tracks: dict[Track, EpisodeSet] = {}
     for scenario in scenarios:

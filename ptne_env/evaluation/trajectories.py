@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.evaluation.comparison import draw_start
 from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.policy_spec import PolicySpec, get_policy_spec
 from ptne_env.evaluation.rollout import Rollout, rollout
@@ -214,7 +213,7 @@ def play(track: Track, spec: PolicySpec, episodes: EpisodeSet, kept: int | None 
     """Return the trajectories of the first ``kept`` episodes, or of all, with all errors; raises as :func:`record`."""
     spec, world = spec.on_scenario(track.scenario.name), track.world
     encoder = Encoder(world, spec.interface)
-    start, clock, owners = draw_start(world, episodes), world.clock, world.game.owners
+    start, clock, owners = episodes.initial_state(world), world.clock, world.game.owners
     receivers, slots = np.nonzero(np.arange(world.game.num_players)[:, None] != world.neighbours.T)
     senders, own = world.neighbours[slots, receivers], (owners, np.arange(len(owners)))
     instants: list[dict[str, FloatArray]] = []

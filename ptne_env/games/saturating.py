@@ -106,8 +106,7 @@ class SaturatingGame(AffineGame):
             players = [self.jacobian(at[:, player]) for player in range(self.num_players)]
             return np.where(same, np.stack(players)[self.owners, np.arange(self.dimension)], 0.0)
 
-        free = np.full((self.dimension, 1), np.inf)
-        return solve_box(field, slopes, -free, free, strategies)
+        return solve_box(field, slopes, *self.bounds, strategies)
 
     def _solve_nash_equilibria(self) -> FloatArray:
         return self.equilibria

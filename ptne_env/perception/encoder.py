@@ -192,10 +192,7 @@ class Encoder:
         return View(xp, world, self.layout, state, weights, differences[:own], differences[own:], scale, differences)
 
     def clip(self, actions: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.floating], IntArray]:
-        """Clip actions of any number of environments, shape (B, N, action size), to the action box.
-
-        Returns:
-            The actions, and the entries of each player's that were outside, shape (B, N).
+        """Clip actions, shape (B, N, action size), and count the entries of each player's that were outside, (B, N).
 
         Raises:
             NonFiniteActionError: when an action holds NaN or infinity.
@@ -228,11 +225,7 @@ class Encoder:
         return np.maximum(inputs, -limit, out=inputs)
 
     def decode(self, actions: npt.NDArray[np.floating], state: State) -> FloatArray:
-        """:meth:`clip`, then :meth:`inputs`.
-
-        Raises:
-            NonFiniteActionError: when an action holds NaN or infinity.
-        """
+        """:meth:`clip`, which may raise ``NonFiniteActionError``, then :meth:`inputs`."""
         return self.inputs(self.clip(actions)[0], state)
 
     def _in_slots(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -73,11 +73,7 @@ class Interface:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Interface:
-        """The inverse of :meth:`to_dict`.
-
-        Raises:
-            ValueError, TypeError, AttributeError: when the data are no interface.
-        """
+        """The inverse of :meth:`to_dict`; ``ValueError``, ``TypeError`` or ``AttributeError`` for other data."""
         return cls(**{"units" if key == "kind" else key: value for key, value in data.items()})
 
     def __repr__(self) -> str:
@@ -250,11 +246,7 @@ class ObservationLayout:
         return np.logical_or.reduce(self.own_places, axis=1)
 
     def select(self, observation: Any, name: str) -> Any:
-        """The slice ``name`` of observations of shape (..., size), of numpy or JAX.
-
-        Raises:
-            LayoutError: when this layout has no such slice.
-        """
+        """The slice ``name`` of observations of shape (..., size), of numpy or JAX; ``LayoutError`` if it has none."""
         if name not in self.slices:
             raise LayoutError(f"the layout of {self.interface} has no {name!r}; it has {', '.join(self.slices)}")
         return observation[..., self.slices[name]]
@@ -307,8 +299,7 @@ class ObservationLayout:
         Actions are clipped to the action box.
         """
         if self.is_scaled:
-            ego = np.take_along_axis(inputs, self.ego_order[observation.player], axis=1)
-            inputs = ego / INPUT_PER_ACTION
+            inputs = np.take_along_axis(inputs, self.ego_order[observation.player], axis=1) / INPUT_PER_ACTION
         return np.clip(inputs, -self.action_bound, self.action_bound).astype(np.float32)
 
 

@@ -64,11 +64,7 @@ class RunningPolicy:
 
 
 def pair(answer: Any, expected: str) -> tuple[Any, Any]:
-    """Check that the answer of a user's code is a pair, and return it.
-
-    Raises:
-        PolicyError: when the answer is something else; the message says what was ``expected``.
-    """
+    """Return the answer of a user's code if it is a pair; else raise ``PolicyError`` with what was ``expected``."""
     if not (isinstance(answer, tuple | list) and len(answer) == 2):
         got = f"{len(answer)} values" if isinstance(answer, tuple | list) else f"a {type(answer).__name__} alone"
         raise PolicyError(f"{expected}, got {got}")
@@ -111,11 +107,7 @@ class RowPolicy(ABC):
     """The attributes, by name, that an :class:`ObservationLayout` must have for the policy to act."""
 
     def with_layout(self, layout: ObservationLayout) -> Self:
-        """Return the policy itself if it can act in an environment of this layout.
-
-        Raises:
-            LayoutError: naming the attributes in which the layout differs from :attr:`made_for`.
-        """
+        """Return the policy itself; ``LayoutError`` where the layout differs from :attr:`made_for`, naming where."""
         pairs = [(name, own, getattr(layout, name)) for name, own in self.made_for.items()]
         if differences := [f"{name}: policy {own}, environment {other}" for name, own, other in pairs if own != other]:
             raise LayoutError(f"the policy was made for another layout; {'; '.join(differences)}")
@@ -142,11 +134,7 @@ class RowPolicy(ABC):
         episode_start: BoolArray | None = None,
         deterministic: bool = False,  # noqa: FBT001, FBT002 - Stable-Baselines3's signature
     ) -> tuple[Float32Array, Any]:
-        """Return the actions for observations, and the memory; see :meth:`Policy.predict`.
-
-        Raises:
-            ValueError: when observations, ``episode_start`` or the memory have another shape than the policy needs.
-        """
+        """Return the actions for observations, and the memory, as :meth:`Policy.predict`; ``ValueError`` for shapes."""
         array = np.asarray(observation, dtype=np.float32)
         rows = array[None] if array.ndim == 1 else array
         size = self.made_for.get("size", rows.shape[-1])

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.evaluation.comparison import draw_start
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.tracks import Track
@@ -46,7 +45,7 @@ def make_scene(track: Track, episodes: EpisodeSet, policies: Iterable[PolicySpec
     their range at the start, or finer.
     """
     runs = {spec.name: play(track, spec, episodes, kept=1) for spec in policies}
-    world, start = track.world, draw_start(track.world, episodes)
+    world, start = track.world, episodes.initial_state(track.world)
     clock, equilibrium = world.clock, start.game.nash_equilibria[:, 0]
     starts = np.concatenate([equilibrium, *(run.strategies[0, :, 0] for run in runs.values())])
     decimals = 2 - int(np.floor(np.log10(np.ptp(starts) or 1.0)))

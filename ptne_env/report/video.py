@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from ptne_env.envs.rendering import Renderer
-from ptne_env.evaluation.comparison import draw_start
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.tracks import Track
@@ -71,7 +70,7 @@ def save_episode(
 
 def _draw_pictures(run: Trajectories, count: int, progress: Callable[[int, int], None] | None) -> Iterator[Any]:
     """Yield ``count`` pictures of an episode, uint8 arrays of shape (height, width, 3)."""
-    world, start = run.rollout.world, draw_start(run.rollout.world, run.episodes)
+    world, start = run.rollout.world, run.episodes.initial_state(run.rollout.world)
     states = [
         start._replace(step=np.array([step]), estimates=estimates.swapaxes(0, 1))
         for step, estimates in enumerate(run.estimates)

@@ -135,14 +135,11 @@ def require_writable(path: Path) -> None:
     if path.exists() and not path.is_file():  # such as /dev/null, which is written to directly
         return
     target = Path(os.path.realpath(path))
-    folder = target.parent
-    while not folder.exists():
-        folder = folder.parent
+    folder = next(parent for parent in target.parents if parent.exists())
     if not folder.is_dir():
         raise NotADirectoryError(f"cannot write {path}: {folder} is not a folder")
     try:
-        handle, temporary = tempfile.mkstemp(dir=folder, prefix=f".{target.name}.")
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{target.name}."):
+            pass
     except OSError as error:
         raise type(error)(f"cannot write {path}: {error.strerror} (in the folder {folder})") from error
-    os.close(handle)
-    Path(temporary).unlink()

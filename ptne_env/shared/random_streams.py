@@ -27,10 +27,6 @@ class RandomStreams:
 
     @classmethod
     def from_seed(cls, seed: int | None) -> RandomStreams:
-        """Spawn the generators; ``None`` takes fresh entropy.
-
-        Raises:
-            ValueError: when the seed is negative or not a whole number.
-        """
+        """Spawn the generators; ``None`` takes fresh entropy, and no whole number ≥ 0 is a ``ValueError``."""
         children = np.random.SeedSequence(None if seed is None else require_count("a seed", seed, 0)).spawn(4)
         return cls(*(np.random.default_rng(child) for child in children))

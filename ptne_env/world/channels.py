@@ -371,7 +371,6 @@ class LateNoise(AdditiveNoise):
     """Noise that starts late: y = v before a step, and y = v + σ ξ from it on.
 
     Attributes:
-        std: σ ≥ 0, in the units of the strategies.
         step: of the first noise.
     """
 

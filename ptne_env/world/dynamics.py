@@ -91,7 +91,7 @@ def initial_state(
     """Return the state at t = 0.
 
     Args:
-        world: the world.
+        world: the scenario, built.
         estimates: initial estimates, shape (n, N, B). Strategies outside the box of the game are projected into it.
         game: one game or B games; needed where the scenario draws games.
         randomness: the remaining draws of B episodes; needed where :meth:`World.draw_randomness` draws any.
@@ -310,12 +310,8 @@ def relative_estimates(
 ) -> FloatArray:
     """Return (x^j as received) − x^i per neighbour slot in float64, 0 where the link is down, shape (D, n, N, B).
 
-    Args:
-        world: the world.
-        state: the state.
-        link_weights: :func:`weights` of the state, where the caller has them.
-        order: the order of each player's components; that of the game if left out.
-        out: an array to write into, C-contiguous; a new one if left out.
+    The caller may pass the :func:`weights` of the state, another order of each player's components than that of the
+    game, and a C-contiguous array to write into.
     """
     rows, received = state.estimates.reshape(-1, batch_size(state)), state.received
     own = state.estimates if order is None else rows.take(order.own, axis=0)

@@ -149,8 +149,8 @@ class Scenario:
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON object with one entry per field."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return {name: value.to_dict() if isinstance(value, FactorySpec) else value for name, value in values.items()}
+        fields = vars(self).items()
+        return {name: value.to_dict() if isinstance(value, FactorySpec) else value for name, value in fields}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Scenario:

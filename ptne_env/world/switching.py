@@ -160,7 +160,6 @@ class RandomTopology(SwitchingTopology):
     Attributes:
         graphs: the pool, at least two, all on the same players.
         dwells: a dwell time or a range (shortest, longest).
-        clock: ``"physical"`` or ``"transformed"``.
 
     Raises:
         ValueError: as :class:`SwitchingTopology`, or for fewer graphs or a range that is empty.
@@ -290,10 +289,8 @@ def random_graphs(players: int, probability: float, modes: int = 100, seed: int 
 
     It is an :class:`EpisodeTopology` on a pool of ``modes`` ≥ 2 graphs: the connected ones among graphs of Erdős and
     Rényi, which link every pair of N ≥ 2 ``players`` with ``probability``. The pool is a function of the arguments,
-    ``seed`` among them, so it belongs to the scenario and is the same in every episode.
-
-    Raises:
-        ValueError: when the probability is not in (0, 1], or so small that hardly any graph is connected.
+    ``seed`` among them, so it belongs to the scenario and is the same in every episode. It is a ``ValueError`` when the
+    probability is not in (0, 1], or so small that hardly any graph is connected.
     """
     require_positive_probability("probability", probability)
     count = require_count("modes", modes, 2)

@@ -34,9 +34,8 @@ class EpisodeRandomness(NamedTuple):
     """What B episodes draw besides their games and starts; a field is ``None`` where nothing is drawn.
 
     Attributes:
-        modes: the active graph at each instant, shape (K+H+1, B), int16.
-        time_since_switch: the time since the last switch over the mean dwell, clipped to [0, 1], shape (K+H+1, B),
-            float32.
+        modes: as in a :class:`~ptne_env.world.switching.Schedule`, shape (K+H+1, B), int16.
+        time_since_switch: likewise, float32.
         channel_keys: the keys of the channel's random numbers, shape (B,).
         disturbance_keys: the keys of the disturbance's random numbers, shape (B,).
     """
@@ -72,9 +71,8 @@ class World:
         neighbours: player that is heard in each slot, shape (D, N); D is the largest degree in the union graph unless
             the scenario gives it, and a padded slot holds the player itself with weight 0.
         mode_weights: a_ij per slot and mode, shape (D, N, modes).
-        modes: active mode at each instant, shape (K+H+1,); zeros where every episode draws its own.
-        time_since_switch: time since the last switch over the mean dwell, clipped to [0, 1], 0 for a fixed graph; shape
-            (K+H+1,); zeros likewise.
+        modes, time_since_switch: the :class:`~ptne_env.world.switching.Schedule`, shape (K+H+1,); zeros where every
+            episode draws its own.
         has_constant_weights: whether every player has the weights of one graph in every step.
         component_order: components in the order of the game.
 
@@ -140,8 +138,7 @@ class World:
     def draw_game(self, streams: Sequence[RandomStreams]) -> Game:
         """Draw the games of an episode, one environment per entry of ``streams``.
 
-        Raises:
-            ValueError: when a drawn game is not strongly monotone, unless the family declares this.
+        It is a ``ValueError`` when a drawn game is not strongly monotone, unless the family declares this.
         """
         family = self.game_family
         game = family.draw([stream.game for stream in streams])

@@ -133,7 +133,7 @@ def test_a_file_that_cannot_be_made_is_found_beforehand(tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr("tempfile.mkstemp", refuse)  # tests may run as root, which may write everywhere
+    monkeypatch.setattr("tempfile.NamedTemporaryFile", refuse)  # tests may run as root, which may write everywhere
     with pytest.raises(PermissionError, match=r"cannot write .*new: Permission denied \(in the folder"):
         require_writable(tmp_path / "a" / "new")
     assert list(tmp_path.iterdir()) == []
