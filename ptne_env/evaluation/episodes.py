@@ -37,10 +37,7 @@ def track_seed(suite: str, track: str, split: Split, seed: int, episode: int) ->
     It is the number whose ``SeedSequence`` is ``SeedSequence([seed, episode], spawn_key=(a, b, c))``, where a, b and c
     are the first four bytes, the highest first, of the SHA-256 of the names of suite, track and split: numpy lays out
     entropy and spawn key as words of 32 bits, [seed, episode, 0, 0, a, b, c], and a number by its words, the lowest
-    first. So anything that takes a seed can replay the episode.
-
-    Raises:
-        ValueError: as :func:`episode_seed`.
+    first. So anything that takes a seed can replay the episode. Errors are those of :func:`episode_seed`.
     """
     _require(split, seed, episode)
     key = (int.from_bytes(sha256(name.encode()).digest()[:4], "big") for name in (suite, track, split))

@@ -181,11 +181,7 @@ class PolicySpec:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> PolicySpec:
-        """Make a spec from what :meth:`to_dict` of a repeatable policy returned.
-
-        Raises:
-            ValueError: when the policy was an object of another process, or the data describe no policy.
-        """
+        """Make a spec from what :meth:`to_dict` of a repeatable policy returned; ``ValueError`` for anything else."""
         try:
             seeds = data["training_seeds"]
             if any("arguments" not in seed for seed in seeds):

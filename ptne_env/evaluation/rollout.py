@@ -41,11 +41,7 @@ class Rollout:
     seconds_per_decision: float
 
     def __getitem__(self, series: str) -> FloatArray:
-        """Return a series by name, shape (instants or steps, B).
-
-        Raises:
-            KeyError: when there is no such series; the message names those that there are.
-        """
+        """Return a series by name, shape (instants or steps, B); ``KeyError`` with all names where there is none."""
         if series not in self.series:
             raise KeyError(unknown_name("series", series, self.series))
         return self.series[series]
@@ -131,20 +127,13 @@ class Member:
                 does not pass the audit.
         """
         layout, batch = self.encoder.layout, dynamics.batch_size(state)
-        rows = len(self.players) * batch
-        is_alone = len(self.players) == layout.num_players
-        observations = self.encoder.observe(state)
-        if not is_alone:
-            observations = observations[:, self.players]
-        shape = (batch, len(self.players), layout.action_size)
+        observations = self.encoder.observe(state)[:, self.players]
         try:
-            actions = self._ask(observations.reshape(rows, -1)).reshape(shape)
+            actions = self._ask(observations.reshape(-1, layout.size)).reshape(batch, -1, layout.action_size)
         except PolicyError as error:
             raise type(error)(f"step {int(state.step[0])}: {error}") from error
         except (Exception, SystemExit) as error:  # of the policy or of a witness
             raise PolicyError(f"step {int(state.step[0])}: {describe(error)}") from error
-        if is_alone:
-            return self.encoder.decode(actions, state)
         actions_of_all = np.zeros((batch, layout.num_players, layout.action_size), dtype=actions.dtype)
         actions_of_all[:, self.players] = actions
         inputs = np.zeros_like(state.estimates)

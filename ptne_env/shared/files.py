@@ -91,9 +91,7 @@ def read_file(path: Path, largest: int = LARGEST_FILE) -> bytes:
 def read_json(path: Path, kind: str) -> dict[str, Any]:
     """Return the JSON object in a file of a ``kind``, which messages name, such as "a file of results".
 
-    Raises:
-        OSError, DamagedFileError: as :func:`read_file`.
-        DamagedFileError: naming ``path``, when it holds no JSON object, or part of one.
+    Errors are those of :func:`read_file`, and ``DamagedFileError`` when it holds no JSON object, or part of one.
     """
     data = read_file(path)
     try:

@@ -136,8 +136,7 @@ class Scenario:
     def replace(self, **changes: Any) -> Scenario:
         """Return a copy with some fields changed; an object as ``transformation`` brings its deadline along.
 
-        Raises:
-            ValueError: when a key is not a field, naming the fields.
+        It is a ``ValueError`` when a key is not a field, naming the fields.
         """
         if isinstance(transformation := changes.get("transformation"), Part):
             changes = {"deadline": getattr(transformation, "deadline", self.deadline), **changes}
@@ -154,11 +153,7 @@ class Scenario:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Scenario:
-        """Make a scenario from a JSON object, the inverse of :meth:`to_dict`.
-
-        Raises:
-            ValueError: when a key is unknown or missing, or a value is of another kind.
-        """
+        """Make a scenario from a JSON object, the inverse of :meth:`to_dict`; ``ValueError`` for other data."""
         fields = dataclasses.fields(cls)
         unknown = sorted(set(data) - {field.name for field in fields})
         required = {field.name for field in fields if field.default is dataclasses.MISSING}
