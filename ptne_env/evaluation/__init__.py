@@ -1,13 +1,4 @@
-"""Comparisons of policies.
-
-- ``comparison``: ``evaluate``, which makes jobs, one per policy and track; ``results``: what they give together
-- ``policy_spec``: a policy of a comparison; ``named_policies``: the table of those with a name
-- ``tracks``, ``episodes``: what they play, and from which seeds
-- ``rollout``: plays and records; ``trajectories``: ``record``, which returns every instant
-- ``audit``: whether a policy decides each row from that row alone
-- ``metrics``, ``statistics``: numbers of an episode, and means with intervals
-- ``provenance``: versions, hashes and the arithmetic of the machine
-"""
+"""Comparisons of policies."""
 
 from ptne_env.evaluation.comparison import evaluate as evaluate
 from ptne_env.evaluation.episodes import EpisodeSet as EpisodeSet

@@ -129,7 +129,9 @@ def begin(world: World, estimates: FloatArray, game: Game, randomness: EpisodeRa
     """Do what :func:`initial_state` does without checks; numpy's estimates may be changed in place."""
     batch, xp = estimates.shape[2], array_namespace(estimates)
     step, diverged = xp.zeros(batch, dtype=np.int64), xp.zeros(batch, dtype=np.bool_)
-    return _complete(world, _project(estimates, game), game, step, diverged, randomness)
+    gradients: Any = None  # they follow
+    before = State(step, game, estimates, gradients, diverged, randomness=randomness)
+    return _complete(world, before, step, _project(estimates, game))
 
 
 def restore(world: World, state: State, batch: int) -> State:
@@ -194,18 +196,7 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
     estimates += state.estimates
     if world.disturbance is not None:
         estimates = _disturb(world, world.disturbance, estimates, state)
-    estimates = _project(estimates, state.game)
-    memory = None if state.received is None else state.received.memory
-    return _complete(
-        world,
-        estimates,
-        state.game,
-        world.next_step[state.step],
-        state.diverged,
-        state.randomness,
-        memory,
-        any_diverged=state.any_diverged,
-    )
+    return _complete(world, state, world.next_step[state.step], _project(estimates, state.game))
 
 
 def merge(state: State, fresh: State, mask: BoolArray) -> State:
@@ -336,25 +327,19 @@ def distance_limit(game: Game) -> FloatArray:
     return (RANGE_LIMIT * np.sqrt(game.dimension) + scale) / scale
 
 
-def _complete(
-    world: World,
-    estimates: FloatArray,
-    game: Game,
-    step: IntArray,
-    diverged: BoolArray,
-    randomness: EpisodeRandomness | None = None,
-    memory: Memory | None = None,
-    *,
-    any_diverged: bool = False,
-) -> State:
+def _complete(world: World, before: State, step: IntArray, estimates: FloatArray) -> State:
     """Return the state with these estimates, from which own gradients, divergence and received messages follow."""
+    game, diverged, any_diverged = before.game, before.diverged, before.any_diverged
     gradients = _own_gradients(game, estimates)
     if not (_in_range(estimates) and _in_range(gradients)):
         diverged = diverged | ~_is_near(estimates, gradients)
         any_diverged = not is_numpy(diverged) or bool(diverged.any())
         estimates, gradients = _clip(estimates), _clip(gradients)
-    state = State(step, game, estimates, gradients, diverged, any_diverged, randomness)
-    return state if world.channel.is_perfect else state._replace(received=_transmit(world, state, memory))
+    state = State(step, game, estimates, gradients, diverged, any_diverged, before.randomness)
+    if world.channel.is_perfect:
+        return state
+    memory = None if before.received is None else before.received.memory
+    return state._replace(received=_transmit(world, state, memory))
 
 
 def _own_gradients(game: Game, estimates: FloatArray) -> FloatArray:
