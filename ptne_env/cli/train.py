@@ -18,7 +18,7 @@ from ptne_env.cli.console import check_writable, progress, say, write_json
 from ptne_env.evaluation import METRICS
 from ptne_env.evaluation.comparison import LAW
 from ptne_env.evaluation.tracks import find_track
-from ptne_env.shared.names import unknown_name
+from ptne_env.shared.names import require_name
 
 if TYPE_CHECKING:
     from ptne_env.training.configuration import Configuration, RunSummary
@@ -86,8 +86,8 @@ def train(
     from ptne_env.training.configuration import POLICY, Configuration, read_finished_run
     from ptne_env.training.curve import draw, evaluate_laws
 
-    if algorithm is not None and algorithm not in training.TRAINERS:
-        raise ValueError(unknown_name("algorithm", algorithm, training.TRAINERS))
+    if algorithm is not None:
+        require_name("algorithm", algorithm, training.TRAINERS)
     values = {"seed": seed, "updates" if algorithm == "through-world" else "steps": steps}
     changes: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
     if algorithm == "through-world":

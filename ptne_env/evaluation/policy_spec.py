@@ -20,7 +20,7 @@ from ptne_env.perception.observation import Interface, LayoutError, ObservationL
 from ptne_env.perception.policy import Policy, PolicyError, describe
 from ptne_env.shared.arrays import require_flag, require_printable
 from ptne_env.shared.files import require_file
-from ptne_env.shared.names import unknown_name
+from ptne_env.shared.names import require_name, unknown_name
 from ptne_env.shared.parts import FactorySpec, foreign_targets, resolve
 
 MARKS = {
@@ -337,8 +337,7 @@ def _with_arguments(name: str, arguments: Mapping[str, Any]) -> FactorySpec:
         raise ValueError(f"policy {name!r} is a file and takes no arguments")
     known = [parameter for parameter in signature(resolve(source.target)).parameters if parameter != "layout"]
     for argument in arguments:
-        if argument not in known:
-            raise ValueError(unknown_name(f"argument of {name}", argument, known))
+        require_name(f"argument of {name}", argument, known)
     return FactorySpec.of(source.target, **{**dict(source.arguments), **arguments})
 
 

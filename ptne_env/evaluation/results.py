@@ -18,14 +18,14 @@ import numpy as np
 
 from ptne_env._version import __version__
 from ptne_env.evaluation.episodes import EpisodeSet, Split
-from ptne_env.evaluation.metrics import METRICS, Metric, number
+from ptne_env.evaluation.metrics import METRICS, number
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.provenance import arithmetic, content_hash, versions
 from ptne_env.evaluation.statistics import STATISTICS, Summary, estimate
 from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import FloatArray, data_frame
 from ptne_env.shared.files import DamagedFileError, read_json
-from ptne_env.shared.names import unknown_name
+from ptne_env.shared.names import require_name
 from ptne_env.shared.style import COLOURS, PRINT, drawing, printed_axes
 
 FORMAT = 8
@@ -133,7 +133,7 @@ class Results:
         Raises:
             ValueError: for an unknown metric.
         """
-        declared = _find_metric(metric)
+        declared = METRICS[require_name("metric", metric, METRICS)]
         samples = self.samples.get((track, policy), {}).get(declared.source)
         if samples is None:
             return None
@@ -188,8 +188,7 @@ class Results:
             ValueError: for an unknown policy or metric.
         """
         for name in (policy, other):
-            if name not in self.policies:
-                raise ValueError(unknown_name("policy", name, self.policies))
+            require_name("policy", name, self.policies)
         names = self.counted_tracks if tracks is None else [tracks] if isinstance(tracks, str) else tracks
         pairs = [(self.values(track, policy, metric), self.values(track, other, metric)) for track in names]
         both = [(mine, theirs) for mine, theirs in pairs if mine is not None and theirs is not None]
@@ -284,10 +283,9 @@ class Results:
     def to_latex(self, metric: str = "digits") -> str:
         """Return a ``tabular`` of LaTeX: a row per track, a column per policy, and a metric with its 95 % interval.
 
-        Raises:
-            ValueError: for an unknown metric.
+        Errors are those of :meth:`values`.
         """
-        heading = _find_metric(metric).label
+        heading = METRICS[require_name("metric", metric, METRICS)].label
         rows = [[heading, *(policy.label for policy in self.policies.values())]]
         for track in self.episodes:
             places = [(track, name) for name in self.policies]
@@ -307,7 +305,8 @@ class Results:
             ValueError: for an unknown metric.
             ImportError: when matplotlib is missing, naming the extra to install.
         """
-        label, tracks, names = _find_metric(metric).label, list(self.episodes), list(self.policies)
+        label = METRICS[require_name("metric", metric, METRICS)].label
+        tracks, names = list(self.episodes), list(self.policies)
         with drawing("figures", PRINT):
             is_new, height = axes is None, 0.7 + (0.11 * len(names) + 0.1) * len(tracks) + 0.1 * len(names)
             axes = printed_axes(1, height) if is_new else axes
@@ -377,12 +376,6 @@ def read_results(path: Path) -> dict[str, Any]:
     if data.get("checksum") != content_hash(content):
         raise DamagedFileError(f"{path} was damaged or changed after it was written: run it again")
     return data
-
-
-def _find_metric(name: str) -> Metric:
-    if name not in METRICS:
-        raise ValueError(unknown_name("metric", name, METRICS))
-    return METRICS[name]
 
 
 def _with_interval(summary: Summary | None) -> str:

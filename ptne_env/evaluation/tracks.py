@@ -12,7 +12,7 @@ from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.rollout import Member
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.arrays import require_count, require_flag, require_printable
-from ptne_env.shared.names import unknown_name
+from ptne_env.shared.names import require_name
 from ptne_env.shared.parts import FactorySpec, foreign_targets, make, resolve, target_of
 from ptne_env.world.catalogue import get_scenario, split_track
 from ptne_env.world.scenario import Scenario
@@ -131,10 +131,8 @@ class Suite:
 
     def track(self, name: str) -> Track:
         """Return a track by name; ``ValueError`` for an unknown one."""
-        for track in self.tracks:
-            if track.name == name:
-                return track
-        raise ValueError(unknown_name(f"track of suite {self.name}", name, [track.name for track in self.tracks]))
+        tracks = {track.name: track for track in self.tracks}
+        return tracks[require_name(f"track of suite {self.name}", name, tracks)]
 
     def scenario(self, track: str) -> Scenario:
         """Return the scenario of a track by name; ``ValueError`` for an unknown one, and for one with teammates."""

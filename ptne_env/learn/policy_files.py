@@ -11,7 +11,7 @@ from ptne_env.learn.npz_policy import open_policy
 from ptne_env.learn.recurrent import RecurrentPolicy
 from ptne_env.perception.observation import ObservationLayout
 from ptne_env.shared.files import read_file, shipped_files
-from ptne_env.shared.names import unknown_name
+from ptne_env.shared.names import require_name
 from ptne_env.shared.parts import FactorySpec
 
 TRACK = "{track}"
@@ -63,14 +63,9 @@ def shipped_names() -> list[str]:
 
 
 def shipped_path(name: str) -> Path:
-    """Return the file of a policy in the library.
-
-    Raises:
-        ValueError: for another name.
-    """
-    if name not in shipped_names():
-        raise ValueError(unknown_name("learned policy", name, shipped_names(), "an .npz file"))
-    return shipped_files("learn", *DATA.endings)[name]
+    """Return the file of a policy in the library; ``ValueError`` for another name."""
+    shipped = shipped_files("learn", *DATA.endings)
+    return shipped[require_name("learned policy", name, shipped, "an .npz file")]
 
 
 def find_file(path_or_name: str | Path) -> Path:

@@ -17,7 +17,7 @@ from gymnasium import spaces
 
 from ptne_env.perception.fields import FIELDS, LOG_SCALE_UNIT, InterfaceKind
 from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, IntArray, array_namespace, is_numpy
-from ptne_env.shared.names import unknown_name
+from ptne_env.shared.names import require_name
 
 INPUT_PER_ACTION = 5 / 3
 """Under ``scaled`` an action of 1 is an input of this many σ_i. A Gaussian policy that starts with a standard deviation
@@ -54,9 +54,8 @@ class Interface:
         names = tuple(self.fields) or [name for name, field in FIELDS.items() if self.units in field.kinds]
         units: tuple[InterfaceKind, ...] = ("scaled",) if self.units == "scaled" else ("physical", "full")
         for name in names:
-            if name not in FIELDS:
-                raise ValueError(unknown_name("field of the observation", name, FIELDS))
-            if (kinds := FIELDS[name].kinds) and not set(kinds) & set(units):
+            kinds = FIELDS[require_name("field of the observation", name, FIELDS)].kinds
+            if kinds and not set(kinds) & set(units):
                 raise ValueError(f"{units[0]!r} has no field {name!r}, which is one of {', '.join(map(repr, kinds))}")
         object.__setattr__(self, "units", units[0])
         object.__setattr__(self, "fields", tuple(name for name in FIELDS if name in names))

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 
 _SYMBOLS = {"T": "deadline", "c": "gain", "K": "steps", "N": "players"}
 """Arguments by their symbols in the paper."""
+
+
+def require_name(kind: str, name: str, known: Collection[str], otherwise: str = "") -> str:
+    """Return a name of a ``kind`` that is known, or raise ``ValueError`` with the message of :func:`unknown_name`."""
+    if name not in known:
+        raise ValueError(unknown_name(kind, name, known, otherwise))
+    return name
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], otherwise: str = "") -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ptne_env.shared.arrays import require_count, require_positive, require_printable, require_probability
 from ptne_env.shared.files import DamagedFileError, read_file, read_json, write_atomically
-from ptne_env.shared.names import unknown_name
+from ptne_env.shared.names import require_name, unknown_name
 from ptne_env.training import TRAINERS, configurations
 from ptne_env.world.catalogue import scenario_names
 
@@ -63,8 +63,7 @@ class Configuration:
 
     def __post_init__(self) -> None:
         require_printable("scenario", self.scenario)
-        if self.algorithm not in ALGORITHMS:
-            raise ValueError(unknown_name("algorithm", str(self.algorithm), ALGORITHMS))
+        require_name("algorithm", str(self.algorithm), ALGORITHMS)
         for name in ("steps", "envs", "rollout", "minibatches", "epochs"):
             require_count(name, getattr(self, name), 1)
         require_count("seed", self.seed, 0)

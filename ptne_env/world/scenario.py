@@ -10,7 +10,7 @@ from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 from ptne_env.shared.arrays import require_printable
-from ptne_env.shared.names import unknown_name
+from ptne_env.shared.names import require_name
 from ptne_env.shared.parts import FactorySpec, Part, as_tuples, target_of
 
 if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
@@ -141,9 +141,8 @@ class Scenario:
         if isinstance(transformation := changes.get("transformation"), Part):
             changes = {"deadline": getattr(transformation, "deadline", self.deadline), **changes}
         known = [field.name for field in dataclasses.fields(self)]
-        unknown = sorted(set(changes) - set(known))
-        if unknown:
-            raise ValueError(unknown_name("scenario field", unknown[0], known))
+        for name in changes:
+            require_name("scenario field", name, known)
         return dataclasses.replace(self, **changes) if changes else self
 
     def to_dict(self) -> dict[str, Any]:
