@@ -61,10 +61,7 @@ class EpisodeSet:
         seed: the seed of the set.
         split: ``"test"``, ``"validation"`` or ``"train"``, which share no episode.
         track: the names of the suite and the track on which the seeds depend (:func:`track_seed`); ``None`` where the
-            seeds are the same in every scenario (:func:`episode_seed`).
-
-    Raises:
-        ValueError: when the split is unknown or a number is out of range.
+            seeds are the same in every scenario (:func:`episode_seed`), which have the same limits.
     """
 
     count: int

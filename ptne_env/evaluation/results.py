@@ -154,11 +154,7 @@ class Results:
         return tuple(self.record(*key) for key in self._summaries)
 
     def record(self, track: str, policy: str, metric: str) -> Record:
-        """Return the record of one track, policy and metric.
-
-        Raises:
-            KeyError: when there is no such record; the message says why the policy cannot act on the track or failed.
-        """
+        """Return the record of one track, policy and metric; ``KeyError`` with the reason why there is none."""
         if (summary := self.summary(track, policy, metric)) is not None:
             names = {"track": track, "policy": policy, "metric": metric}
             return {**names, **asdict(summary), "episodes": self.episodes[track]}
@@ -359,10 +355,7 @@ class Results:
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """The content of a file that holds :meth:`Results.to_dict`; nothing is imported.
-
-    Args:
-        path: of the file, or of its folder.
+    """The content of a file, or of that in a folder, that holds :meth:`Results.to_dict`; nothing is imported.
 
     Raises:
         OSError: when it cannot be read.

@@ -53,12 +53,10 @@ class Track:
         name: the name, unique in a comparison or suite. In a suite, the seeds of the episodes depend on it.
         scenario: the physics, or its name in the catalogue.
         change: a sentence that says how it differs from the base of the suite.
-        teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
+        teammates: players that follow a fixed policy, some but not all, or it is a ``ValueError``; ``None`` where every
+            player follows the policy that is run.
         episodes: the number of episodes; ``None`` for that of the comparison or suite.
         scored: whether it counts for the score of a suite.
-
-    Raises:
-        ValueError: when teammates are not some of the players.
     """
 
     name: str

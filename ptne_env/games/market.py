@@ -105,8 +105,7 @@ class Market118(GameFamily):
         fuel: v, the largest relative change of a fuel price, at most 1.
         elasticity: e > 0. Values of 0.1 to 1 are usual in studies of electricity markets.
 
-    Raises:
-        ValueError: for a number out of range.
+    Numbers out of range are a ``ValueError``.
     """
 
     is_strongly_monotone = True

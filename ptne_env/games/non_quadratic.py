@@ -20,10 +20,7 @@ class NonQuadraticGame(Game):
     response.
 
     Attributes:
-        variant: ``"corrected"`` or ``"printed"``.
-
-    Raises:
-        ValueError: for another variant.
+        variant: ``"corrected"`` or ``"printed"``; any other is a ``ValueError``.
     """
 
     variant: Literal["printed", "corrected"] = "corrected"

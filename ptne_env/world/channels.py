@@ -131,10 +131,8 @@ class Chain(Channel):
     """Stages in sequence; the perfect channel if there are none.
 
     Attributes:
-        stages: channels in the order in which messages pass them; a chain among them stands for its stages.
-
-    Raises:
-        ValueError: when a stage is not a channel.
+        stages: channels in the order in which messages pass them; a chain among them stands for its stages, and
+            anything else is a ``ValueError``.
     """
 
     stages: Sequence[Channel] = ()

@@ -124,10 +124,9 @@ class StepClock:
     Args:
         transformation: λ, with its deadline T.
         gain: c ≥ 0 in 1/s, the constant part of the prescribed-time gain.
-        steps: K ≥ 1.
+        steps, hold_steps: K ≥ 1 and H ≥ 0.
         s_end: transformed time at which the steps to the deadline stop, > 0.
         spacing: the time divided evenly: τ (``effective``), s (``transformed``) or t (``physical``).
-        hold_steps: H ≥ 0 steps after the deadline.
 
     Attributes:
         t: physical time of each instant in seconds, shape (K+H+1,), with t[K] = T.

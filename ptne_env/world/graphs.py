@@ -20,11 +20,8 @@ class Graph(Part):
 
     Attributes:
         adjacency: a_ij ≥ 0, the weight with which player i hears player j, and 0 where it does not; read-only, of shape
-            (N, N), with zero diagonal. The graph is undirected where the matrix is symmetric up to rounding. The
-            argument may be whatever :func:`adjacency` takes.
-
-    Raises:
-        ValueError: when the matrix is not of this form.
+            (N, N), with zero diagonal; any other is a ``ValueError``. The graph is undirected where the matrix is
+            symmetric up to rounding. The argument may be whatever :func:`adjacency` takes.
     """
 
     adjacency: FloatArray

@@ -32,10 +32,7 @@ class UniformStart(Start):
 
     Attributes:
         low: the smallest estimate.
-        high: the largest.
-
-    Raises:
-        ValueError: unless low < high, both finite.
+        high: the largest; a ``ValueError`` unless low < high, both finite.
     """
 
     is_random = True
@@ -55,10 +52,8 @@ class FixedStart(Start):
     """The same estimates in every episode.
 
     Attributes:
-        estimates: one row per player, the row of player i being x^i(0); shape (N, n).
-
-    Raises:
-        ValueError: when the rows are not finite numbers of one length.
+        estimates: one row per player, the row of player i being x^i(0), shape (N, n); a ``ValueError`` unless the rows
+            are finite numbers of one length.
     """
 
     estimates: npt.ArrayLike
