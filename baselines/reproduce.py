@@ -143,7 +143,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/paper"))
     out = parser.parse_args().out
     with progress("reproducing") as advance:
-        reproduction = reproduce(out, progress=advance)
+        reproduction = reproduce(out, progress=lambda done, total, part: advance(part, done, total))
     screen = console()
     for table in paper_tables(reproduction):
         screen.print(draw_table(table, screen.width))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from enum import IntEnum
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.text import Text
-from typer.core import TyperCommand, TyperGroup
 
 from ptne_env._version import __version__
 from ptne_env.cli.console import accept_all_characters, console, output
@@ -30,27 +29,7 @@ class ExitCode(IntEnum):
     """Ctrl-C."""
 
 
-class _Flags:
-    """Hide the type beside a flag in the help, where typer would write ``<bool>``."""
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]  # typer's
-        for parameter in parameters:
-            if getattr(parameter, "is_flag", False):
-                parameter.metavar = ""
-        return parameters
-
-
-class Command(_Flags, TyperCommand):
-    """The class of every command."""
-
-
-class _Group(_Flags, TyperGroup):
-    pass
-
-
 app = typer.Typer(
-    cls=_Group,
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,

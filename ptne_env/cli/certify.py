@@ -9,14 +9,14 @@ from threadpoolctl import threadpool_limits
 
 from ptne_env import theory
 from ptne_env.cli import options
-from ptne_env.cli.app import Command, app
+from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, say, write_json
 from ptne_env.evaluation import POLICIES
 from ptne_env.report.tables import certificate_tables
 from ptne_env.report.terminal import draw_table
 
 
-@app.command(cls=Command)
+@app.command()
 def certify(
     scenario: options.ScenarioArgument,
     *,

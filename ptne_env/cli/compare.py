@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from ptne_env.cli import options
-from ptne_env.cli.app import Command, ExitCode, app
+from ptne_env.cli.app import ExitCode, app
 from ptne_env.cli.console import STDOUT, check_writable, console, progress, say, write_json
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
 from ptne_env.evaluation.tracks import EPISODES, get_suite
@@ -27,9 +27,6 @@ from ptne_env.world.catalogue import scenario_names
 SUITE = "ptne-v1"
 """The suite that is run where neither a suite nor a scenario is named."""
 
-_PAGE_SHARE = 25
-"""Percentage of the bar that belongs to the figures of the page."""
-
 
 def _complete_policy(incomplete: str) -> list[str]:
     """Return the names of policies, also after a comma."""
@@ -37,7 +34,7 @@ def _complete_policy(incomplete: str) -> list[str]:
     return [f"{done}{comma}{name}" for name in POLICIES]
 
 
-@app.command(cls=Command)
+@app.command()
 def compare(
     scenario: Annotated[
         list[str] | None,
@@ -119,26 +116,19 @@ def compare(
     policies = [get_policy_spec(name, trust=trust) for name in names]
     run = _choose_run(suite, places, changes, policies, episodes, trust=trust)
     workers = Workers(jobs, ray)
-    share = 100 if page is None else 100 - _PAGE_SHARE
     with progress(f"{title}: making the jobs") as advance:
-        runner = Runner(folder, workers, lambda job, done, total: advance(round(share * done / total), 100, job), rerun)
-        results = run(seed=seed, run=runner)
-        if not results.samples:
-            say("\n".join(f"{name} on {place} {reason}" for (place, name), reason in results.reasons.items()))
-            raise typer.Exit(ExitCode.FAILED)
-        text = results.to_json()
-        write_json(json, text)
-        if folder is not None:
-            write_atomically(files[0], text + "\n")
-            write_atomically(files[1], results.to_csv())
-        if page is not None:
-            html = results_page(
-                results,
-                shlex.join(["ptne", *sys.argv[1:]]),
-                workers,
-                lambda name, done, total: advance(share + _PAGE_SHARE * done // total, 100, f"figures: {name}"),
-            )
-            write_atomically(page, html)
+        results = run(seed=seed, run=Runner(folder, workers, advance, rerun))
+    if not results.samples:
+        say("\n".join(f"{name} on {place} {reason}" for (place, name), reason in results.reasons.items()))
+        raise typer.Exit(ExitCode.FAILED)
+    text = results.to_json()
+    write_json(json, text)
+    if folder is not None:
+        write_atomically(files[0], text + "\n")
+        write_atomically(files[1], results.to_csv())
+    if page is not None:
+        with progress("figures of the page") as advance:
+            write_atomically(page, results_page(results, shlex.join(["ptne", *sys.argv[1:]]), workers, advance))
     screen = console()
     if details:
         screen.print(result_tables(results, screen.width))

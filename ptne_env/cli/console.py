@@ -13,7 +13,7 @@ from pathlib import Path
 
 import typer
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.segment import Segment
 from rich.table import Column
 from rich.text import Text
@@ -73,17 +73,12 @@ def console(*, stderr: bool = False) -> Console:
 
 
 @contextmanager
-def progress(description: str, total: int | None = None) -> Iterator[Callable[..., None]]:
-    """Show a bar with the remaining time on stderr.
-
-    Yields:
-        A function that takes the number of finished steps (one more if left out), the total, and a description (both
-        stay as they were if left out).
-    """
+def progress(description: str) -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar with the remaining time on stderr, and yield what takes a description, the work done and all work."""
     with Progress(
         TextColumn("{task.description}", table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis")),
         BarColumn(bar_width=20),
-        MofNCompleteColumn(),
+        TaskProgressColumn(),
         TimeRemainingColumn(),
         console=console(stderr=True),
         transient=True,
@@ -91,12 +86,8 @@ def progress(description: str, total: int | None = None) -> Iterator[Callable[..
         disable=output.quiet or not sys.stderr.isatty(),
         speed_estimate_period=600,  # with fewer than two steps in this time it shows no remaining time
     ) as bar:
-        task = bar.add_task(description, total=total)
-
-        def advance(done: int | None = None, total: int | None = None, description: str | None = None) -> None:
-            bar.update(task, completed=done, advance=1 if done is None else None, total=total, description=description)
-
-        yield advance
+        task = bar.add_task(description, total=None)
+        yield lambda description, done, total: bar.update(task, description=description, completed=done, total=total)
 
 
 def keep_stdout(context: typer.Context, value: str | None) -> str | None:

@@ -11,7 +11,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from ptne_env.cli import options
-from ptne_env.cli.app import Command, app
+from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, write_json
 from ptne_env.evaluation import METRICS, OPTIONAL, POLICIES
 from ptne_env.evaluation.tracks import get_suite
@@ -53,7 +53,7 @@ def _entries(kind: Kind) -> Iterator[tuple[str, str, str]]:
                 yield from ((f"{name}/{track.name}", track.change, "") for track in get_suite(name).tracks)
 
 
-@app.command("list", cls=Command)
+@app.command("list")
 def list_(
     kind: Annotated[list[Kind] | None, typer.Argument(help="The kinds of names; all if left out.")] = None,
     json: options.JsonOption = None,

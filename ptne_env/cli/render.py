@@ -8,13 +8,13 @@ from typing import Annotated
 import typer
 
 from ptne_env.cli import options
-from ptne_env.cli.app import Command, app
+from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, progress, say
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.report.video import FORMATS, MOST_PICTURES, save_episode
 
 
-@app.command(cls=Command)
+@app.command()
 def render(
     scenario: options.ScenarioArgument,
     policy: options.PolicyArgument,

@@ -13,7 +13,7 @@ import typer
 
 from ptne_env import training
 from ptne_env.cli import options
-from ptne_env.cli.app import Command, app
+from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, progress, say, write_json
 from ptne_env.evaluation import METRICS
 from ptne_env.evaluation.comparison import LAW
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     Run: TypeAlias = Configuration | Settings
 
 
-@app.command(cls=Command)
+@app.command()
 def train(
     configuration: Annotated[
         str,
@@ -140,7 +140,7 @@ def _train(runs: Mapping[Path, Run], trainer: training.Trainer) -> dict[Path, Ru
             def show(done: int, total: int, digits: float, seed: int = configuration.seed) -> None:
                 place = "training" if len(runs) == 1 else f"training seed {seed}"
                 now = f"{place}, {digits:.2f} {METRICS[trainer.metric].label}" if digits > float("-inf") else place
-                advance(len(summaries) * total + min(done, total), len(runs) * total, now)
+                advance(now, len(summaries) * total + min(done, total), len(runs) * total)
 
             summaries[folder] = train_one(configuration, folder, show)
     return summaries

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from ptne_env.cli import options
-from ptne_env.cli.app import Command, ExitCode, app
+from ptne_env.cli.app import ExitCode, app
 from ptne_env.cli.console import check_writable, console, progress, say, write_json
 from ptne_env.evaluation.results import read_results
 from ptne_env.execution.verification import SAMPLE
@@ -19,7 +19,7 @@ from ptne_env.report.terminal import draw_table
 from ptne_env.shared.parts import foreign_targets, names_of
 
 
-@app.command(cls=Command)
+@app.command()
 def verify(
     results: Annotated[Path, typer.Argument(help="The file results.json of a comparison or suite, or its folder.")],
     *,
@@ -46,13 +46,7 @@ def verify(
     data = read_results(results)
     trust = options.require_trust(foreign_targets(data), trust=trust)
     with progress("verifying") as advance:
-        outcome = run_verification(
-            results,
-            sample=sample,
-            seed=seed,
-            trust=trust,
-            progress=lambda job, total: advance(total=total, description=job),
-        )
+        outcome = run_verification(results, sample=sample, seed=seed, trust=trust, progress=advance)
     jobs = [asdict(repetition) for repetition in outcome.repetitions]
     summary = {"differences": outcome.differences, "jobs": jobs, "of": outcome.jobs, "seed": outcome.seed}
     write_json(json, {**summary, "same_arithmetic": outcome.same_arithmetic})

@@ -90,7 +90,7 @@ def verify(
     sample: int = SAMPLE,
     seed: int | None = None,
     trust: bool = False,
-    progress: Callable[[str, int], None] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> Verification:
     """Build published results again from their samples, run some of their jobs again, and play fresh episodes.
 
@@ -104,7 +104,7 @@ def verify(
         sample: the number of jobs of every policy that run again, beside those that have failed or are n/a.
         seed: the seed of the choice of jobs and of fresh episodes, not that of the results; unpredictable if left out.
         trust: whether code from outside the library that the results name may run.
-        progress: called when a job is done, with ``"track: policy"`` and the number of jobs to run.
+        progress: called when a job is done, with ``"track: policy"``, the number of finished jobs, and of all.
 
     Raises:
         OSError: when there are no results, or a file of a policy is missing.
@@ -140,7 +140,7 @@ def verify(
     for job in sampled:
         repetitions.append(_repeat(results, job, seed, level, same_arithmetic=same))
         if progress is not None:
-            progress(f"{job.track.name}: {job.policy.name}", len(sampled))
+            progress(f"{job.track.name}: {job.policy.name}", len(repetitions), len(sampled))
     return Verification((), tuple(repetitions), total, same, seed)
 
 

@@ -25,7 +25,6 @@ from ptne_env.report.tables import (
     answer,
     answer_table,
     join_words,
-    leaderboard_table,
     leaders,
     means_over_tracks,
     order_policies,
@@ -141,7 +140,6 @@ def results_page(
         if progress is not None:
             progress(results.tracks[index].name, len(drawn), len(results.tracks))
     scenes = {track.name: drawn[index] for index, track in enumerate(results.tracks)}
-    board = leaderboard_table(results)
     facts = {
         **({"command": command} if command else {}),
         "suite": results.name,
@@ -164,11 +162,7 @@ def results_page(
                 "Digits are −log10 of the relative distance of all players' estimates from the equilibrium, counted up "
                 "to 12. Digits on the way are the mean after every step. Click a heading to sort by it; a "
                 "shadow at an edge shows that the table continues there.",
-                (
-                    answer_table(results),
-                    *(track_table(results, metric) for metric in SHOWN[1:]),
-                    *([] if board is None else [board]),
-                ),
+                (answer_table(results), *(track_table(results, metric) for metric in SHOWN[1:])),
             ),
             Section(
                 "Episode player",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -13,7 +13,7 @@ from ptne_env.evaluation.results import SHOWN, Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
 from ptne_env.execution.verification import Repetition, Verification
-from ptne_env.suites.leaderboard import Row, leaderboard
+from ptne_env.suites.leaderboard import leaderboard
 from ptne_env.theory import Certificate
 
 DIGITS_NOTE = "digits: 2 is an error of all estimates of 1 %, 3 is an error of 0.1 %; 12 at most"
@@ -116,16 +116,18 @@ def join_words(words: Sequence[str], most: int | None = None) -> str:
 def answer_table(results: Results) -> Table:
     """Return the digits on every track: a row per track and a column per policy, as :func:`order_policies` has them.
 
-    The last rows are the means over all scored tracks of digits (the score of a suite), of digits on the way, and of
-    digits in the worst tenth of the episodes. In a comparison only policies that play all tracks have them.
+    The last rows are the means over all scored tracks of digits (the score of a suite), of digits on the way, of digits
+    in the worst tenth of the episodes, and of the ranks in a suite. In a comparison only policies that play all tracks
+    have them.
     """
     tracks, means = [track.name for track in results.tracks], means_over_tracks(results)
+    ranks = {row.policy: {"mean rank": Cell.of(row.mean_rank)} for row in leaderboard(results) or ()}
     score = (f"mean of {len(tracks)}" if results.is_comparison else "score") if len(tracks) > 1 else ""
     columns = []
     for name in order_policies(results):
         cells = _make_cells(results, name, "digits")
         if name in means:
-            cells |= dict(zip((score, *BESIDE), map(Cell.plus_minus, means[name]), strict=True))
+            cells |= dict(zip((score, *BESIDE), map(Cell.plus_minus, means[name]), strict=True)) | ranks.get(name, {})
         columns.append(Column(results.policies[name].label, cells, f"digits of {name}"))
     counts = sorted({results.episodes[track] for track in tracks})
     episodes = " to ".join(map(str, dict.fromkeys([counts[0], counts[-1]])))
@@ -134,12 +136,14 @@ def answer_table(results: Results) -> Table:
         notes.append("±n/a: one random episode has no interval")
     if unscored := [track.name for track in results.tracks if not track.scored]:
         notes.append(f"score: the mean of all tracks but {', '.join(unscored)}")
+    if ranks:
+        notes.append("a policy counts as zero input where it cannot act or failed; policies with a mark have no rank")
     present = {spec.mark for spec in results.policies.values()}
     notes += [f"{mark} {meaning}" for mark, meaning in MARKS.items() if mark in present]
     return Table(
         f"Digits at the deadline ± half of the 95 % interval, {episodes} episode{'s' * (counts[-1] > 1)}",
         "scenario" if results.is_comparison else "track",
-        tuple(filter(None, (*tracks, score, *BESIDE))) if means else tuple(tracks),
+        tuple(filter(None, (*tracks, score, *BESIDE, "mean rank" * bool(ranks)))) if means else tuple(tracks),
         tuple(columns),
         (*notes, *_list_reasons(results, tracks)),
     )
@@ -325,29 +329,6 @@ def _list_reasons(results: Results, tracks: Sequence[str]) -> tuple[str, ...]:
     return tuple(
         f"{verdict}: {policy} on {join_words(found, most=3)}: {results.reasons[found[0], policy].partition(': ')[2]}"
         for (policy, verdict), found in places.items()
-    )
-
-
-def leaderboard_table(results: Results) -> Table | None:
-    """Return the scores of the policies of a suite over all tracks; ``None`` for a comparison, which has none."""
-    board = leaderboard(results)
-    if board is None:
-        return None
-    rows = {results.policies[row.policy].label: row for row in board}
-
-    def column(label: str, meaning: str, cell: Callable[[Row], Cell]) -> Column:
-        return Column(label, {name: cell(row) for name, row in rows.items()}, meaning)
-
-    return Table(
-        f"{results.name}: all scored tracks; a policy counts as zero input where it cannot act or failed",
-        "policy",
-        tuple(rows),
-        (
-            column("score", "mean digits over tracks", lambda row: Cell.plus_minus(row.score)),
-            column(BESIDE[0], "mean digits on the way over tracks", lambda row: Cell.plus_minus(row.on_the_way)),
-            column(BESIDE[1], "mean over tracks", lambda row: Cell.plus_minus(row.worst_tenth)),
-            column("mean rank", "over tracks, among policies without a mark", lambda row: Cell.of(row.mean_rank)),
-        ),
     )
 
 

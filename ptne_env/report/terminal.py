@@ -12,7 +12,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from ptne_env.evaluation.results import Results
-from ptne_env.report.tables import Column, Table, answer, answer_table, leaderboard_table, track_tables
+from ptne_env.report.tables import Column, Table, answer, answer_table, track_tables
 
 _STYLES = {"holds": "green", "agree": "green", "reproduces": "green", "fails": "red", "differs": "red"}
 """Colours of cells by their first word."""
@@ -82,7 +82,5 @@ def answer_tables(results: Results, width: int) -> Group:
 
 
 def result_tables(results: Results, width: int = 172) -> Group:
-    """Return the tables of every track, then the leaderboard of a suite, in ``width`` columns."""
-    tables = [table for track in results.tracks for table in track_tables(results, track)]
-    board = leaderboard_table(results)
-    return Group(*(draw_table(table, width) for table in [*tables, *([board] if board else [])]))
+    """Return the tables of every track in ``width`` columns."""
+    return Group(*(draw_table(table, width) for track in results.tracks for table in track_tables(results, track)))

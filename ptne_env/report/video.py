@@ -35,7 +35,7 @@ def save_episode(
     *,
     seed: int = 0,
     pictures: int = 100,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> None:
     """Run the first episode of the test split and write it to a file.
 
@@ -45,7 +45,7 @@ def save_episode(
         path: the file, with a suffix of :data:`FORMATS`.
         seed: the seed of the episode, where one is drawn.
         pictures: the number of pictures in a video, evenly spaced in steps.
-        progress: called with the number of pictures that are drawn and the number of pictures.
+        progress: called with the name of the scenario, the number of pictures that are drawn, and of all.
 
     Raises:
         ValueError: for another suffix, fewer than 2 or more than 500 pictures, or a policy that cannot act in the
@@ -68,28 +68,20 @@ def save_episode(
         run.save(path)
 
 
-def _draw_pictures(run: Trajectories, count: int, progress: Callable[[int, int], None] | None) -> Iterator[Any]:
+def _draw_pictures(run: Trajectories, count: int, progress: Callable[[str, int, int], None] | None) -> Iterator[Any]:
     """Yield ``count`` pictures of an episode, uint8 arrays of shape (height, width, 3)."""
     world, start = run.rollout.world, run.episodes.initial_state(run.rollout.world)
-    states = [
-        start._replace(step=np.array([step]), estimates=estimates.swapaxes(0, 1))
-        for step, estimates in enumerate(run.estimates)
-    ]
-    wanted = np.unique(np.linspace(0, len(states) - 1, count).round().astype(int)).tolist()
     renderer = Renderer(world, "rgb_array", f"{world.scenario.name}: {run.policy}")
-    renderer.fix_axes(states)
-    renderer.reset(states[0])
-    for step, state in enumerate(states):
-        picture = None
+    renderer.reset(start)
+    for step, estimates in enumerate(run.estimates[1:], 1):
+        renderer.record(start._replace(step=np.array([step]), estimates=estimates.swapaxes(0, 1)))
+    wanted = np.unique(np.linspace(1, len(run.t), count).round().astype(int)).tolist()
+    for drawn, instants in enumerate(wanted, 1):
         with delay_ctrl_c():  # artists of former pictures are forgotten anywhere in it
-            if step > 0:
-                renderer.record(state)
-            if step in wanted:
-                picture = renderer.draw()
-                if progress is not None:
-                    progress(1 + wanted.index(step), len(wanted))
-        if picture is not None:
-            yield picture
+            picture = renderer.draw(instants)
+            if progress is not None:
+                progress(world.scenario.name, drawn, len(wanted))
+        yield picture
 
 
 def encode_gif(pictures: Iterator[Any], per_second: int = 20) -> bytes:

@@ -21,7 +21,6 @@ from ptne_env.report.tables import (
     answer_table,
     certificate_tables,
     first_places,
-    leaderboard_table,
     leaders,
     text_table,
     track_tables,
@@ -82,7 +81,9 @@ def test_the_answer_has_a_row_per_track_and_their_mean(comparison, suite, hostil
             assert columns[name][row].value == pytest.approx(np.mean(values))
     learned = next(column for column in answer_table(suite).columns if column.label == "ppo-random-energy")
     assert learned["robots"] == Cell("n/a")
-    assert learned["score"].value == next(row.score.mean for row in leaderboard(suite) if row.policy == learned.label)
+    board = {row.policy: row for row in leaderboard(suite)}
+    assert learned["score"].value == board[learned.label].score.mean
+    assert learned["mean rank"].value == board[learned.label].mean_rank
 
 
 def test_the_answer_names_the_closest_policy_and_its_lead_over_the_papers_law_and_ones_own(comparison, hostile):
@@ -184,13 +185,6 @@ def test_a_policy_that_cannot_act_is_named_with_the_reason(suite):
     for table in (robots, answer_table(suite)):
         (reason,) = [note for note in table.notes if note.startswith("n/a: ppo-random-energy on robots: ")]
         assert "was made for another layout" in reason
-
-
-def test_the_leaderboard_has_the_scores_of_a_suite_alone(suite, comparison):
-    assert leaderboard_table(comparison) is None
-    table = leaderboard_table(suite)
-    scores = {row.policy: row.score.mean for row in leaderboard(suite)}
-    assert {row.removesuffix(" *"): table.columns[0][row].value for row in table.rows} == scores
 
 
 @pytest.mark.parametrize("width", [80, 120])

@@ -21,7 +21,7 @@ def world():
 def test_gif_shows_the_episode_and_holds_its_last_picture(world, tmp_path):
     seen, static = [], get_policy_spec("static")
     save_episode(world, static, tmp_path / "run.gif", pictures=4, progress=lambda *count: seen.append(count))
-    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert seen == [(world.name, drawn, 4) for drawn in (1, 2, 3, 4)]
     with Image.open(tmp_path / "run.gif") as image:
         assert image.n_frames == 4
         pictures = [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(image)]
