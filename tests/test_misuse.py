@@ -81,7 +81,7 @@ MISUSES = {
     "parallel_env('energy', message_range=0.0)": "message_range must be .* above 0",
     "parallel_env('energy', message_range=np.inf)": "message_range must be a finite number",
     "parallel_env('energy', hold_steps=True)": "hold_steps must be a whole number of at least 0, got True",
-    "setattr(env, 'max_cycles', 'ten')": "max_cycles must be a whole number of at least 1, got 'ten'",
+    "parallel_env('energy', max_cycles='ten')": "max_cycles must be a whole number of at least 1, got 'ten'",
     "VectorParallelEnv('energy', 2.0)": "num_envs must be a whole number of at least 1, got 2.0",
     "JointVectorEnv('energy', 2, autoreset_mode='next')": "'next' is not a valid AutoresetMode",
     # Resets and steps.

@@ -14,7 +14,7 @@ from ptne_env.cli.console import check_writable, console, progress, say, write_j
 from ptne_env.evaluation.results import read_results
 from ptne_env.execution.verification import SAMPLE
 from ptne_env.execution.verification import verify as run_verification
-from ptne_env.report.tables import verification_tables
+from ptne_env.report.tables import verification_table
 from ptne_env.report.terminal import draw_table
 from ptne_env.shared.parts import foreign_targets, names_of
 
@@ -51,8 +51,7 @@ def verify(
     summary = {"differences": outcome.differences, "jobs": jobs, "of": outcome.jobs, "seed": outcome.seed}
     write_json(json, {**summary, "same_arithmetic": outcome.same_arithmetic})
     screen = console()
-    for table in verification_tables(outcome):
-        screen.print(draw_table(table, screen.width))
+    screen.print(draw_table(verification_table(outcome), screen.width))
     is_published = data["name"] in names_of("suite")
     rules = "those of the published suite" if is_published else "its own: no suite of this name is published"
     say(f"The rules of {data['name']!r} are {rules}")

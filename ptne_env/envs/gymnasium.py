@@ -47,12 +47,9 @@ def _join_players(infos: dict[str, Any]) -> dict[str, Any]:
 
 def _joint_info(infos: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """Return the info of the agent that acts for all players."""
-    first, *others = infos.values()
+    first, *_ = players = list(infos.values())
     return _join_players(
-        {
-            name: np.array(value if name in _FLAGS else [value, *(info[name] for info in others)])
-            for name, value in first.items()
-        }
+        {name: np.array(first[name] if name in _FLAGS else [info[name] for info in players]) for name in first}
     )
 
 

@@ -115,12 +115,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     @property
     def max_cycles(self) -> int | None:
-        """The number of steps after which the episode is truncated, or ``None``; may be set at any time."""
+        """The number of steps after which the episode is truncated, or ``None``."""
         return self._simulation.max_cycles
-
-    @max_cycles.setter
-    def max_cycles(self, value: int | None) -> None:
-        self._simulation.max_cycles = value
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the agent's own Box, the same object on every call."""

@@ -16,7 +16,7 @@ from ptne_env._version import __version__
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.metrics import MOST_DIGITS
 from ptne_env.evaluation.policy_spec import PolicySpec
-from ptne_env.evaluation.results import SHOWN, Results
+from ptne_env.evaluation.results import Results
 from ptne_env.evaluation.statistics import Summary
 from ptne_env.evaluation.tracks import Track
 from ptne_env.execution.workers import Workers
@@ -28,7 +28,6 @@ from ptne_env.report.tables import (
     leaders,
     means_over_tracks,
     order_policies,
-    track_table,
     track_tables,
 )
 from ptne_env.report.traces import Scene, make_scene
@@ -162,7 +161,7 @@ def results_page(
                 "Digits are −log10 of the relative distance of all players' estimates from the equilibrium, counted up "
                 "to 12. Digits on the way are the mean after every step. Click a heading to sort by it; a "
                 "shadow at an edge shows that the table continues there.",
-                (answer_table(results), *(track_table(results, metric) for metric in SHOWN[1:])),
+                (answer_table(results),),
             ),
             Section(
                 "Episode player",

@@ -125,7 +125,10 @@ def answer_table(results: Results) -> Table:
     score = (f"mean of {len(tracks)}" if results.is_comparison else "score") if len(tracks) > 1 else ""
     columns = []
     for name in order_policies(results):
-        cells = _make_cells(results, name, "digits")
+        cells = {
+            track: _find_verdict(results, track, name) or Cell.plus_minus(results.summary(track, name, "digits"))
+            for track in tracks
+        }
         if name in means:
             cells |= dict(zip((score, *BESIDE), map(Cell.plus_minus, means[name]), strict=True)) | ranks.get(name, {})
         columns.append(Column(results.policies[name].label, cells, f"digits of {name}"))
@@ -147,25 +150,6 @@ def answer_table(results: Results) -> Table:
         tuple(columns),
         (*notes, *_list_reasons(results, tracks)),
     )
-
-
-def track_table(results: Results, metric: str) -> Table:
-    """Return a metric on every track: a row per track and a column per policy."""
-    columns = tuple(
-        Column(results.policies[name].label, _make_cells(results, name, metric), f"{METRICS[metric].heading} of {name}")
-        for name in order_policies(results)
-    )
-    tracks = tuple(track.name for track in results.tracks)
-    return Table(METRICS[metric].heading.capitalize(), "track", tracks, columns, (BESIDE_NOTE,))
-
-
-def _make_cells(results: Results, policy: str, metric: str) -> dict[str, Cell]:
-    """Return the cells of digits of a policy by track."""
-    return {
-        track.name: _find_verdict(results, track.name, policy)
-        or Cell.plus_minus(results.summary(track.name, policy, metric))
-        for track in results.tracks
-    }
 
 
 def answer(results: Results) -> tuple[str, ...]:
@@ -362,17 +346,13 @@ def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:
     return assumptions, text_table(title, "prediction", ("value",), rows.items(), notes)
 
 
-def verification_tables(verification: Verification) -> tuple[Table, Table]:
-    """Return whether the tables of results follow from their samples, and the jobs that were run again."""
-    shown = [("differs", text) for text in verification.differences[:_SHOWN_DIFFERENCES]]
+def verification_table(verification: Verification) -> Table:
+    """Return the jobs that were run again; notes say whether the tables of the file follow from its samples."""
+    notes = [f"The file differs: {text}" for text in verification.differences[:_SHOWN_DIFFERENCES]]
     if (hidden := len(verification.differences) - _SHOWN_DIFFERENCES) > 0:
-        shown.append(("differs", f"{hidden} more numbers or texts"))
-    rebuilt = text_table(
-        "Tables rebuilt from the samples",
-        "",
-        ("verdict", ""),
-        ((str(index), *texts) for index, texts in enumerate(shown or [("agree", "everything follows")], 1)),
-    )
+        notes.append(f"The file differs: {hidden} more numbers or texts")
+    elif not notes:
+        notes.append("All tables of the file follow from its samples.")
     rows = (
         (
             f"{job.track}: {job.policy}" + f", training seed {job.training_seed}" * (job.training_seed > 0),
@@ -384,11 +364,10 @@ def verification_tables(verification: Verification) -> tuple[Table, Table]:
         for job in verification.repetitions
     )
     title = f"{len(verification.repetitions)} of {verification.jobs} jobs were run again"
-    note = "The processor, BLAS or libraries differ, so rounding does too, and jobs agree up to chance."
-    notes = () if verification.same_arithmetic else (note,)
-    return rebuilt, text_table(
-        title, "job", ("verdict", "largest difference", "digits with fresh seed", "reason"), rows, notes
-    )
+    if not verification.same_arithmetic:
+        notes.append("The processor, BLAS or libraries differ, so rounding does too, and jobs agree up to chance.")
+    headings = "verdict", "largest difference", "digits with fresh seed", "reason"
+    return text_table(title, "job", headings, rows, tuple(notes))
 
 
 def _verdict(repetition: Repetition, *, same_arithmetic: bool) -> str:

@@ -24,7 +24,7 @@ from ptne_env.report.tables import (
     leaders,
     text_table,
     track_tables,
-    verification_tables,
+    verification_table,
 )
 from ptne_env.report.terminal import answer_tables, draw_table, result_tables
 from ptne_env.suites import leaderboard
@@ -195,14 +195,13 @@ def test_the_table_of_a_verification_shows_every_verdict(width):
         Repetition("ring", "policy-1", 1, None, agrees=False, reason="step 0: no number"),
     )
     found = Verification(tuple(map(str, range(12))), repetitions, 7, same_arithmetic=False, seed=1)
-    rebuilt, table = verification_tables(found)
+    table = verification_table(found)
     verdicts, _, fresh, reasons = ([column[row].text for row in table.rows] for column in table.columns)
     assert len(set(verdicts)) == 3
     assert fresh == ["–", "2.50", "–"]
     assert reasons == ["", "", "step 0: no number"]
-    assert len(table.notes) == 1
-    texts = [tuple(column[row].text for column in rebuilt.columns) for row in rebuilt.rows]
-    assert texts[-1] == ("differs", "2 more numbers or texts")
+    assert len(table.notes) == 12
+    assert table.notes[-2] == "The file differs: 2 more numbers or texts"
     written(draw_table(table, width), width)
 
 
