@@ -20,7 +20,6 @@ from ptne_env.perception.fields import OBSERVATION_BOUND, InterfaceKind
 from ptne_env.perception.observation import Interface, ObservationLayout
 from ptne_env.shared.arrays import Float32Array, FloatArray
 from ptne_env.world import dynamics
-from ptne_env.world.catalogue import CATALOGUE
 from ptne_env.world.dynamics import State
 from ptne_env.world.rewards import RewardChoice
 from ptne_env.world.scenario import Scenario
@@ -87,10 +86,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             modes = ", ".join(self.metadata["render_modes"])
             raise ValueError(f"unknown render_mode {render_mode!r}; choose None or one of {modes}")
         self.scenario = override_fields(scenario, overrides, NashSeekingEnv)
-        published = CATALOGUE.get(self.scenario.name)
-        is_published = published is not None and published.game.target == self.scenario.game.target
-        name = f"ptne_{self.scenario.name.replace('-', '_') if is_published else 'custom'}_v0"
-        self.metadata = {**type(self).metadata, "name": name}  # type: ignore[misc]  # PettingZoo reads the name from each instance
+        self.metadata = {**type(self).metadata, "name": f"ptne_{self.scenario.name}_v0"}  # type: ignore[misc]  # PettingZoo reads the name from each instance
         self.render_mode = render_mode
         self.world = World(self.scenario)
         encoder = player_encoder(self.world, interface)
