@@ -144,7 +144,7 @@ class PlayerVecEnv(VecEnv):
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Return the attribute once per requested member."""
         members = list(self._get_indices(indices))
-        value = None if attr_name == "render_mode" else getattr(self.vector, attr_name)  # they do not render
+        value: Any = None if attr_name == "render_mode" else getattr(self.vector, attr_name)  # they do not render
         if attr_name in TRUE_STATE:
             return [value[member // self._players].copy() for member in members]
         return [value] * len(members)

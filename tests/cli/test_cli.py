@@ -428,7 +428,7 @@ def is_alive(group):
     ],
 )
 def test_interrupted_work_showed_the_time_left_and_leaves_complete_files(words, tmp_path):
-    code, printed = in_terminal(words.split(), tmp_path, until=r"\d/\d+.*\d:\d\d:\d\d")
+    code, printed = in_terminal(words.split(), tmp_path, until=r"\d%.*\d:\d\d:\d\d")
     assert code == ExitCode.INTERRUPTED, printed
     assert "Interrupted" in printed
     assert "Traceback" not in printed, printed
