@@ -76,12 +76,9 @@ def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray
     """Draw the rows of each witness, which no policy can know.
 
     Every witness gets one player of every episode, and over the episodes one player after the other. So with as many
-    episodes as players, every player has a witness in some episode.
-
-    Args:
-        episodes: the number of episodes in the batch, whose row e · players + p is player p of episode e.
-        players: the number of players for which the policy decides.
-        thorough: whether there are as many witnesses as players, up to :data:`WITNESSES`, instead of one.
+    episodes as players, every player has a witness in some episode. Row e · players + p is player p of episode e, and
+    players are those for which the policy decides. A ``thorough`` audit has as many witnesses as players, up to
+    :data:`WITNESSES`, instead of one.
     """
     generator = np.random.default_rng()
     witnesses = min(players, WITNESSES) if thorough else 1

@@ -69,9 +69,7 @@ class Job:
     def compute(self, *, thorough: bool = False) -> JobResult:
         """Run the episodes, and audit the decisions of a user's policy.
 
-        Args:
-            thorough: whether the audit has a witness per player instead of one for all, and is also of policies that
-                ship with the library.
+        A ``thorough`` audit has a witness per player instead of one for all, and is also of policies that ship.
         """
         world, team = self.track.world, self.track.teammates
         taken = () if team is None else team.players

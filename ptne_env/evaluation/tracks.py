@@ -35,15 +35,6 @@ class Teammates:
         encoder = Encoder(world, spec.interface)
         return Member(spec.build(encoder.layout), encoder, self.players)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON object."""
-        return {"policy": self.policy.to_dict(), "players": list(self.players)}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Teammates:
-        """Read what :meth:`to_dict` returns."""
-        return cls(FactorySpec.from_dict(data["policy"]), tuple(data["players"]))
-
 
 @dataclass(frozen=True)
 class Track:
@@ -88,14 +79,15 @@ class Track:
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON object."""
         team = self.teammates
-        return {**vars(self), "scenario": self.scenario.to_dict(), "teammates": team and team.to_dict()}
+        members = team and {"policy": team.policy.to_dict(), "players": list(team.players)}
+        return {**vars(self), "scenario": self.scenario.to_dict(), "teammates": members}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Track:
         """Read what :meth:`to_dict` returns."""
         team = data["teammates"]
-        changes = {"scenario": Scenario.from_dict(data["scenario"]), "teammates": team and Teammates.from_dict(team)}
-        return cls(**{**data, **changes})
+        members = team and Teammates(FactorySpec.from_dict(team["policy"]), tuple(team["players"]))
+        return cls(**{**data, "scenario": Scenario.from_dict(data["scenario"]), "teammates": members})
 
 
 @lru_cache(maxsize=100)

@@ -73,19 +73,15 @@ class CostGame(Game):
         slopes = method(self._repeated(n), estimates[:, self.owners].reshape(n, -1), moves)
         return slopes.reshape(-1, n, batch)[self.owners, np.arange(n)]
 
-    def _repeated(self, times: int) -> CostGame:
+    def _repeated(self, times: int) -> Any:
         """Return the game for ``times`` columns of strategies of each environment; a batch repeats its games."""
-        if not self.is_batch:
-            return self
-        columns = {name: getattr(self, name) for name in self.parameters}
-        return self.with_columns({name: array_namespace(each).tile(each, times) for name, each in columns.items()})
+        return self.map_columns(lambda column: array_namespace(column).tile(column, times))
 
     @cached_property
     def _method(self) -> _Method:
         """How arrays of numpy are differentiated: the first way that agrees with differences at sampled points.
 
-        Raises:
-            ValueError: when there is none, or the costs are no array (N, B) of finite numbers.
+        It is a ``ValueError`` when there is none, or the costs are no array (N, B) of finite numbers.
         """
         name, units = type(self).__name__, 0.25 + self._units(16) / 2  # away from the bounds
         points = np.concatenate([self._spread(unit, np.zeros((self.dimension, self.batch_size))) for unit in units], 1)
@@ -151,8 +147,7 @@ class CostGame(Game):
     def best_response(self, strategies: FloatArray) -> FloatArray:
         """The minimisers in the box, to about 1e-12, from the best of 32 points per component: (n, B) to (n, B).
 
-        Raises:
-            NoBestResponseError: when no minimiser is found, as where a cost falls without end.
+        It is a ``NoBestResponseError`` when none is found, as where a cost falls without end.
         """
         response, found = self._respond(strategies)
         if not found.all():

@@ -59,12 +59,8 @@ def drawing(purpose: str, changes: Mapping[Any, Any] = MappingProxyType({})) -> 
     Ctrl-C waits for the end of the block, because matplotlib turns a ``KeyboardInterrupt`` into a ``ValueError`` where
     it draws a path, and loses it where it forgets an artist.
 
-    Args:
-        purpose: what needs matplotlib, for the message of the error, such as ``"figures"``.
-        changes: the rcParams of matplotlib that differ, such as ``{"font.size": 11}``.
-
-    Raises:
-        ImportError: when matplotlib is missing, naming the extra to install.
+    Without matplotlib it is an ``ImportError`` that names the extra, and the ``purpose``, such as ``"figures"``. The
+    ``changes`` are rcParams that differ, such as ``{"font.size": 11}``.
     """
     try:
         from matplotlib import rc_context
