@@ -252,12 +252,8 @@ class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, 
             final_observations = np.full(self.num_envs, None, dtype=object)
             for index in np.flatnonzero(over):
                 final_observations[index] = observations[index].copy()
-            final = {
-                "final_obs": final_observations,
-                "_final_obs": over.copy(),
-                "final_info": _add_masks(infos, over),
-                "_final_info": over.copy(),
-            }
+            final = {"final_obs": final_observations, "final_info": _add_masks(infos, over)}
+            final |= {f"_{name}": over.copy() for name in final}
             fresh, first = self.vector.reset(mask=over)
             observations, first = self._joint(fresh), _join_players(first)
             infos = {name: np.where(over, first[name], values) for name, values in infos.items()}

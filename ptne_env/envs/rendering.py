@@ -44,11 +44,14 @@ class Renderer:
 
     def reset(self, state: State) -> None:
         """Forget the last episode and start with a state."""
-        self._states = [state]
+        self._states = []
+        self.record(state)
 
     def record(self, state: State) -> None:
-        """Add a state to the episode."""
+        """Add a state to the episode; in mode ``human`` it is shown."""
         self._states.append(state)
+        if self.mode == "human":
+            self.draw()
 
     def draw(self, instants: int | None = None) -> npt.NDArray[np.uint8] | None:
         """Return the picture, (height, width, 3) uint8, or show it and return ``None`` in mode ``human``.

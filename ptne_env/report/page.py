@@ -53,9 +53,7 @@ class DotPlot:
         """Whole numbers of digits from below the least value, and 0, to above the largest."""
         ends = [end for row in self.rows.values() for digits in row.values() for end in vars(digits).values()]
         low, high = math.floor(min([0.0, *filter(None, ends)])), math.ceil(max([1.0, *filter(None, ends)]))
-        step = 1 if high - low <= 8 else 2
-        last = min(round(MOST_DIGITS), high + step - 1)  # longer intervals are cut there
-        return list(range(step * math.floor(low / step), last + 1, step))
+        return list(range(low, min(round(MOST_DIGITS), high) + 1))  # longer intervals are cut there
 
     def place(self, value: float) -> str:
         """Return the place of a value in percent of the width."""

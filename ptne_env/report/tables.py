@@ -56,13 +56,9 @@ class Cell:
         """Return the cell of digits: the mean with two decimals, ± half of its interval."""
         if summary is None or summary.mean is None:
             return cls()
-        half = "n/a" if summary.high is None else _two_decimals(summary.high - summary.mean)
-        text = _two_decimals(summary.mean)
+        half = "n/a" if summary.high is None else f"{summary.high - summary.mean:z.2f}"
+        text = f"{summary.mean:z.2f}".replace("-", "−")
         return cls(text if half == "0.00" else f"{text} ±{half}", summary.mean)
-
-
-def _two_decimals(value: float) -> str:
-    return f"{value:.2f}".replace("-0.00", "0.00").replace("-", "−")
 
 
 @dataclass(frozen=True)
