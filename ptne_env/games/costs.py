@@ -131,18 +131,12 @@ class CostGame(Game):
 
     def _spread(self, units: FloatArray, around: FloatArray) -> FloatArray:
         """Map numbers in (0, 1), (n, 1), to the box; without bounds to all numbers, most next to ``around``, (n, B)."""
-        low, high = self.bounds
-        scale = 1 + np.abs(around)
+        (low, high), scale = self.bounds, 1 + np.abs(around)
+        has_low, has_high, far = np.isfinite(low), np.isfinite(high), scale * np.tan(np.pi / 2 * units)
         with np.errstate(invalid="ignore"):
-            return np.select(
-                [np.isfinite(low) & np.isfinite(high) & (scale > 0), np.isfinite(low), np.isfinite(high)],
-                [
-                    low + (high - low) * units,
-                    low + scale * np.tan(np.pi / 2 * units),
-                    high - scale * np.tan(np.pi / 2 * units),
-                ],
-                around + scale * np.tan(np.pi * (units - 0.5)),
-            )
+            inside = [low + (high - low) * units, low + far, high - far]
+        anywhere = around + scale * np.tan(np.pi * (units - 0.5))
+        return np.select([has_low & has_high, has_low, has_high], inside, anywhere)
 
     def best_response(self, strategies: FloatArray) -> FloatArray:
         """The minimisers in the box, to about 1e-12, from the best of 32 points per component: (n, B) to (n, B).
