@@ -9,7 +9,7 @@ import pytest
 import release_check
 from scipy import stats
 
-from baselines import directed, learned, publish, published, ranking, tune
+from baselines import directed, learned, pages, publish, published, ranking, tune
 from ptne_env import CATALOGUE, theory
 from ptne_env.evaluation import ENTERED, POLICIES, EpisodeSet
 from ptne_env.evaluation.comparison import Job
@@ -42,6 +42,11 @@ def job_of(row):
     else:
         track, names = SUITES[row["suite"]].track(row["track"]), (row["suite"], row["track"])
     return Job(track, POLICIES[row["policy"]], 0, EpisodeSet(min(EPISODES, int(row["episodes"])), 0, "test", names))
+
+
+def test_every_family_of_scenarios_has_its_page():
+    written = {path.stem: path.read_text("utf-8") for path in pages.PAGES.glob("*.md")}
+    assert written == {family: pages.page(family, names, read()) for family, names in pages.families().items()}
 
 
 def test_three_random_published_numbers_are_computed_again_within_their_statistic():
