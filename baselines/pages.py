@@ -10,7 +10,7 @@ import inspect
 from itertools import groupby
 
 from baselines.published import ROOT, Published, markdown, read, with_interval
-from ptne_env import CATALOGUE
+from ptne_env import CATALOGUE, record
 from ptne_env.evaluation import POLICIES
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.files import write_atomically
@@ -26,7 +26,7 @@ PICTURES = PAGES / "images"
 SUITE, BEST = "comparison", 5
 """The published comparison of scenarios, and the number of policies of it that a page shows."""
 
-SHOWN = "relay"
+SHOWN = "static"
 """The policy in the pictures."""
 
 CONSTANTS = """
@@ -115,6 +115,7 @@ def main() -> None:
     numbers = read()
     for family, names in families().items():
         write_atomically(PAGES / f"{family}.md", page(family, names, numbers))
+        record(SHOWN, names[0]).save(PICTURES / f"{family}.png")
 
 
 if __name__ == "__main__":
