@@ -110,12 +110,17 @@ def _results(names: list[str], numbers: Published) -> str:
     return markdown(["policy", *(f"`{name}`" for name in names)], rows)
 
 
-def main() -> None:
-    """Write the pages and their pictures."""
-    numbers = read()
+def write(numbers: Published) -> None:
+    """Write the texts of the pages."""
     for family, names in families().items():
         write_atomically(PAGES / f"{family}.md", page(family, names, numbers))
-        record(SHOWN, names[0]).save(PICTURES / f"{family}.png")
+
+
+def main() -> None:
+    """Write the pages and draw their pictures."""
+    write(read())
+    for family, (first, *_) in families().items():
+        record(SHOWN, first).save(PICTURES / f"{family}.png")
 
 
 if __name__ == "__main__":

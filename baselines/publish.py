@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
 
-from baselines import edge_cases
+from baselines import edge_cases, pages
 from baselines.published import (
     ALL,
     FAILED,
@@ -136,6 +136,8 @@ def main() -> None:
         text = fill_tables(document.read_text(encoding="utf-8"), numbers)
         if path == RESULTS:
             write_atomically(document, text)
+    if path == RESULTS:
+        pages.write(numbers)
 
 
 if __name__ == "__main__":

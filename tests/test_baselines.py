@@ -46,7 +46,9 @@ def job_of(row):
 
 def test_every_family_of_scenarios_has_its_page():
     written = {path.stem: path.read_text("utf-8") for path in pages.PAGES.glob("*.md")}
-    assert written == {family: pages.page(family, names, published.read()) for family, names in pages.families().items()}
+    assert written == {
+        family: pages.page(family, names, published.read()) for family, names in pages.families().items()
+    }
 
 
 def test_three_random_published_numbers_are_computed_again_within_their_statistic():
