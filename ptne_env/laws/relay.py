@@ -66,6 +66,15 @@ _NEWS = 6.0
 _LOUDEST = 0.3
 """A change of messages above this share of the scale is news in any case."""
 
+_OUTLIER = 4.0
+"""A difference to the sources above this many running medians is an outlier, as one of 140 of normal noise is."""
+
+_PACE = 1.1
+"""Factor by which the running median of a difference rises or falls in a step."""
+
+_NOISY = 1e-3
+"""Share of the scale that the change of messages in the second step exceeds where differences may be outliers."""
+
 _HELD = 0.1
 """A bound holds a component that moved less than this share of the displacement that was asked for."""
 
@@ -97,6 +106,8 @@ class RelayMemory(NamedTuple):
     share: FloatArray  # e, of the damping, shape (R, 1)
     direction: FloatArray  # v, the mean direction of the responses, shape (R, m)
     delay: FloatArray  # T, the step in which the last component had its first source, shape (R, 1)
+    size: FloatArray  # the running median of |differences to the sources|, 0 before the first one, shape (R, n)
+    outlier: FloatArray  # the sign of the last difference if it was an outlier, and else 0, shape (R, n)
 
 
 class Relay(RecordLaw):
@@ -114,6 +125,8 @@ class Relay(RecordLaw):
     3. *Copies.* Δx^i_c = w × mean of (x^j_c − x^i_c) over the live sources j of each component c of another player.
        Let k count the steps since σ last halved from window to window, or since a difference to the sources was above
        3 σ, which is no noise. Up to ``patience`` such steps w = 1, and then w = p/(p + k), p being ``forgetting``.
+       Messages may be far off. So where their change in the second step was above 1e-3 of the scale, a mean above four
+       times its running median is an outlier and counts as 0, unless the one before was an outlier of the same sign.
        Where c never had a source in max(``patience``, N) steps, as where rounding hides all, all neighbours count as
        sources. A source that says what the player's copy was before its last move copies the player in turn; then
        Δx^i_c is half of that, and the two meet, instead of exchanging their copies for ever.
@@ -155,7 +168,7 @@ class Relay(RecordLaw):
         messages, first = np.zeros((1, layout.slots, layout.dimension)), np.zeros((1, max(layout.action_dims)))
         noise = Noise(messages, messages, messages[:, :, 0], none, none, none, none, none)
         contacts, model = initial_contacts(layout), initial_model(layout)
-        self.start = RelayMemory(none, contacts, noise, model, own, none + 1, first, none + _SHORTEST)
+        self.start = RelayMemory(none, contacts, noise, model, own, none + 1, first, none + _SHORTEST, own, own)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         layout, was, player = self.layout, self.unpack(memory), observation.player
@@ -173,6 +186,8 @@ class Relay(RecordLaw):
         sources |= is_silent[:, None] & live
         is_probe = was.steps < blocks.shape[1]
         mean = np.where(is_own | is_probe, 0.0, mean_difference(observation, sources))
+        is_noisy = (noise.first > _NOISY * scale) & (was.steps > 2)
+        mean, size, outlier = _drop_outliers(mean, was.size, was.outlier, is_noisy)
         noise, weight = self._weigh(noise, mean, was.steps)
         before, smallest = was.model.estimate, np.maximum(_RESOLVED * scale, loudest)
         repeats = live & sources & (np.abs(noise.last - before[:, None]) <= smallest[:, :, None])
@@ -193,7 +208,7 @@ class Relay(RecordLaw):
         asked = clip_to_reach(displacement, observation, layout)
         is_whole = (own_entries(asked, blocks) == wanted).all(axis=1, keepdims=True)
         share, direction = _adapt(was, wanted, is_whole, delay)
-        fresh = RelayMemory(was.steps + 1, contacts, noise, model, asked, share, direction, delay)
+        fresh = RelayMemory(was.steps + 1, contacts, noise, model, asked, share, direction, delay, size, outlier)
         return per_step(displacement, observation), self.pack(fresh)
 
     def _weigh(self, noise: Noise, mean: FloatArray, steps: FloatArray) -> tuple[Noise, FloatArray]:
@@ -232,6 +247,23 @@ def _measure(observation: Observation, was: Noise, steps: FloatArray, owned: Boo
         level=np.where(is_second, largest_change, was.level),
         first=np.where(is_second, largest_change, was.first),
     )
+
+
+def _drop_outliers(
+    mean: FloatArray, size: FloatArray, outlier: FloatArray, is_noisy: BoolArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the differences (R, n) to the sources without outliers, and the new ``size`` and ``outlier``.
+
+    A second outlier of the same sign is news, and then the running median is what makes it none.
+    """
+    found, heard = np.abs(mean), mean != 0
+    is_loud = is_noisy & (size > 0) & (found > _OUTLIER * size)
+    is_news = is_loud & (outlier * mean > 0)
+    median = np.where(found > size, size * _PACE, size / _PACE)
+    median = np.where(is_news, found / _OUTLIER, np.where(size > 0, median, found))
+    signs = np.where(is_loud, np.sign(mean), 0.0)
+    kept = np.where(is_loud & ~is_news, 0.0, mean)
+    return kept, np.where(heard, median, size), np.where(heard, signs, outlier)
 
 
 def _adapt(

@@ -196,6 +196,32 @@ def test_noise_is_averaged():
     assert relay > plain + 0.3
 
 
+def kept(means, is_noisy=True):
+    """What is left of the differences of one component, step by step."""
+    size = outlier = np.zeros((1, 1))
+    left = []
+    for mean in means:
+        now, size, outlier = relay._drop_outliers(np.full((1, 1), mean), size, outlier, np.full((1, 1), is_noisy))
+        left.append(now.item())
+    return left
+
+
+def test_one_message_that_is_far_off_is_dropped_and_two_are_news():
+    usual = [1.0, -1.0, 1.0]
+    assert kept([*usual, 9.0, -1.0]) == [*usual, 0.0, -1.0]
+    assert kept([*usual, 9.0, -9.0]) == [*usual, 0.0, 0.0]
+    assert kept([*usual, 9.0, 9.0, 9.0]) == [*usual, 0.0, 9.0, 9.0]  # the median has followed
+    assert kept([*usual, 0.0, 9.0, 0.0, 9.0]) == [*usual, 0.0, 0.0, 0.0, 9.0]  # nothing was heard in between
+    assert kept([*usual, 9.0], is_noisy=False) == [*usual, 9.0]
+
+
+def test_messages_that_are_far_off_at_times_cost_few_digits(monkeypatch):
+    tails = RANDOM.replace(name="tails", channel=channel_part("HeavyTails", scale=0.1))
+    digits = evaluate("relay", tails, episodes=10).samples["tails", "relay"]["digits"].mean()
+    monkeypatch.setattr(relay, "_OUTLIER", 1e9)
+    assert digits > evaluate("relay", tails, episodes=10).samples["tails", "relay"]["digits"].mean() + 0.3
+
+
 @pytest.mark.parametrize("arguments", [{"patience": 0}, {"patience": 2.5}, {"forgetting": 0.0}])
 def test_wrong_numbers_are_named(arguments):
     with pytest.raises(ValueError, match=f"{next(iter(arguments))} must be"):
