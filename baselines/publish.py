@@ -29,7 +29,7 @@ from baselines.published import (
     read,
 )
 from ptne_env import CATALOGUE, evaluate
-from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, Results
+from ptne_env.evaluation import CODED, COMPARED, ENTERED, POLICIES, Results
 from ptne_env.evaluation.comparison import LAW
 from ptne_env.evaluation.results import SHOWN, Record
 from ptne_env.evaluation.statistics import Summary
@@ -109,7 +109,7 @@ def run(out: Path, episodes: int | None, workers: Workers) -> Path:
 
     runner = Runner(out, workers, show)
     compared = evaluate(COMPARED, CATALOGUE, episodes=episodes or 100, run=runner)
-    entered = [POLICIES[name] for name in ENTERED]
+    entered = [POLICIES[name] for name in (*ENTERED, *CODED)]
     suite = run_suite("ptne-v1", entered, episodes=episodes, run=runner)
     worlds = [run_suite(robustness(seed), entered, episodes=episodes, run=runner) for seed in WORLDS.values()]
     rows = [row for results in (compared, suite) for row in rows_of(results)]

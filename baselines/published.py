@@ -11,7 +11,7 @@ from typing import get_args
 import numpy as np
 
 from ptne_env import CATALOGUE
-from ptne_env.evaluation import ENTERED, POLICIES
+from ptne_env.evaluation import CODED, ENTERED, POLICIES
 from ptne_env.evaluation.results import SHOWN as SHOWN_METRICS
 from ptne_env.evaluation.results import standing
 from ptne_env.evaluation.statistics import Summary, estimate
@@ -294,7 +294,7 @@ def fill_tables(text: str, numbers: Published) -> str:
 def missing(numbers: Published) -> list[str]:
     """The named policies and the scenarios that have no published numbers yet."""
     known = {row[key] for row in numbers.rows for key in ("policy", "track")}
-    return [name for name in (*ENTERED, *CATALOGUE) if name not in known]
+    return [name for name in (*ENTERED, *CODED, *CATALOGUE) if name not in known]
 
 
 def documents() -> list[Path]:

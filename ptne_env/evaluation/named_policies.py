@@ -96,5 +96,8 @@ NO_LAWS = ("zero-input", "random")
 COMPARED = tuple(_COMPARED)
 """The default policies on scenarios: laws of the paper, references, the strongest laws, learned policies."""
 
-ENTERED = (*_COMPARED, *_OTHERS, *_CODED)
-"""The default policies on a suite: all but networks that were trained in one scenario, which are slow elsewhere."""
+ENTERED = (*_COMPARED, *_OTHERS)
+"""The default policies on a suite: all but those in code, and networks of one scenario, which are slow elsewhere."""
+
+CODED = tuple(_CODED)
+"""The policies that send code. Any policy can wear it, so they are ranked apart, and play where they are named."""
