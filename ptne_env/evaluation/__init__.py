@@ -7,8 +7,8 @@ from ptne_env.evaluation.metrics import METRICS as METRICS
 from ptne_env.evaluation.metrics import OPTIONAL as OPTIONAL
 from ptne_env.evaluation.metrics import Metric as Metric
 from ptne_env.evaluation.metrics import register as register
-from ptne_env.evaluation.named_policies import COMPARED as COMPARED
 from ptne_env.evaluation.named_policies import CODED as CODED
+from ptne_env.evaluation.named_policies import COMPARED as COMPARED
 from ptne_env.evaluation.named_policies import ENTERED as ENTERED
 from ptne_env.evaluation.policy_spec import POLICIES as POLICIES
 from ptne_env.evaluation.policy_spec import PolicySpec as PolicySpec
