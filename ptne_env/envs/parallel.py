@@ -86,7 +86,8 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             modes = ", ".join(self.metadata["render_modes"])
             raise ValueError(f"unknown render_mode {render_mode!r}; choose None or one of {modes}")
         self.scenario = override_fields(scenario, overrides, NashSeekingEnv)
-        self.metadata = {**type(self).metadata, "name": f"ptne_{self.scenario.name}_v0"}  # type: ignore[misc]  # PettingZoo reads the name from each instance
+        name = f"ptne_{self.scenario.name.replace('-', '_')}_v0"
+        self.metadata = {**type(self).metadata, "name": name}  # type: ignore[misc]  # PettingZoo reads the name from each instance
         self.render_mode = render_mode
         self.world = World(self.scenario)
         encoder = player_encoder(self.world, interface)
@@ -111,8 +112,12 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     @property
     def max_cycles(self) -> int | None:
-        """The number of steps after which the episode is truncated, or ``None``."""
+        """The number of steps after which the episode is truncated, or ``None``; may be set at any time."""
         return self._simulation.max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        self._simulation.max_cycles = value
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the agent's own Box, the same object on every call."""
@@ -174,6 +179,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self.agents = self.possible_agents.copy()
         if self._renderer is not None:
             self._renderer.reset(self._simulation.current)
+            self._render_human()
         first = {"diverged": np.False_, "clipped": np.int64(0), "is_success": self._simulation.is_success()[0]}
         first |= dict.fromkeys(self._simulation.reward_names, np.float64(0))
         # Copies, because a view gives its policy the observations of all players, in the attribute ``base``.
@@ -228,6 +234,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self.agents = []
         if self._renderer is not None:
             self._renderer.record(self._simulation.current)
+            self._render_human()
         return observations, rewards, dict.fromkeys(agents, terminated), dict.fromkeys(agents, truncated), infos
 
     def state(self) -> Float32Array:
@@ -281,6 +288,10 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         """Close the window, if one is open."""
         if self._renderer is not None:
             self._renderer.close()
+
+    def _render_human(self) -> None:
+        if self.render_mode == "human" and self._renderer is not None:
+            self._renderer.draw()
 
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """Return all actions in the order of the agents, shape (1, N, action size)."""

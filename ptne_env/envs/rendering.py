@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
 from ptne_env.world import distances, dynamics
 from ptne_env.world.dynamics import State
@@ -15,11 +17,10 @@ from ptne_env.world.world import World
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_ESTIMATES = 200
-"""Largest number of estimates of all players that are drawn beside the strategies."""
-
 _SIZE, _DPI = (9.6, 5.4), 100
 _STYLE = {"font.size": 11, "legend.fontsize": 11}
+
+_Limits = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Renderer:
@@ -36,52 +37,54 @@ class Renderer:
         self.title = world.scenario.name if title is None else title
         self.mode = mode
         self._states: list[State] = []
+        self._limits: _Limits | None = None
         self._figure: Figure | None = None
-        players = world.game.num_players
-        self._colours = [COLOURS[player % len(COLOURS)] for player in range(players)]
-        angles = np.pi / 2 - 2 * np.pi * np.arange(players) / players  # clockwise from the top
-        self._places = np.column_stack([np.cos(angles), np.sin(angles)])
+        self._axes: dict[str, Any] = {}
+        self._still: Any = None
+
+    def fix_axes(self, states: Sequence[State]) -> None:
+        """Give every picture the axes that ``states``, the whole episode, need, so that they stand still in a video.
+
+        The axes are then drawn once, and each picture adds its lines, links and headline, which is ten times faster.
+        """
+        self._limits = _axis_limits(*_histories(states), states[0])
 
     def reset(self, state: State) -> None:
         """Forget the last episode and start with a state."""
-        self._states = []
-        self.record(state)
+        self._states = [state]
 
     def record(self, state: State) -> None:
-        """Add a state to the episode; in mode ``human`` it is shown."""
+        """Add a state to the episode."""
         self._states.append(state)
-        if self.mode == "human":
-            self.draw()
 
-    def draw(self, instants: int | None = None) -> npt.NDArray[np.uint8] | None:
+    def draw(self) -> npt.NDArray[np.uint8] | None:
         """Return the picture, (height, width, 3) uint8, or show it and return ``None`` in mode ``human``.
-
-        Args:
-            instants: the number of instants that the picture shows, all if left out. The axes fit all of them, so they
-                stand still in a video.
 
         Raises:
             ImportError: when matplotlib is missing, naming the extra to install.
         """
         with drawing("pictures of episodes", _STYLE):
+            estimates, far = _histories(self._states)
             self._figure = figure = self._figure or self._open()
-            figure.clear()
-            axes = figure.subplot_mosaic(
-                [["estimates", "distance"], ["estimates", "graph"]],
-                width_ratios=[3, 2],
-                height_ratios=[2, 3],
-                gridspec_kw={"left": 0.07, "right": 0.975, "top": 0.86, "bottom": 0.17, "wspace": 0.24, "hspace": 0.5},
-            )
-            shown = len(self._states) if instants is None else instants
-            headline = self._draw_curves(axes["estimates"], axes["distance"], shown)
-            self._draw_graph(axes["graph"], self._states[shown - 1])
-            figure.text(0.07, 0.945, headline, fontsize=13, fontweight="bold")
+            if self._still is None:
+                figure.clear()
+                self._lay_out(figure, self._limits or _axis_limits(estimates, far, self._states[0]))
+                if self._limits is not None:
+                    figure.canvas.draw()
+                    self._still = figure.canvas.copy_from_bbox(figure.bbox)  # type: ignore[attr-defined]  # Agg has it
+            moving = self._draw_moving(figure, estimates, far)
             if self.mode == "human":
                 figure.canvas.draw_idle()
                 figure.canvas.flush_events()
                 return None
-            figure.canvas.draw()
-            drawn = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]  # Agg has it
+            if self._still is None:
+                figure.canvas.draw()
+            else:
+                figure.canvas.restore_region(self._still)  # type: ignore[attr-defined]
+                for artist in moving:
+                    artist.axes.draw_artist(artist)
+                    artist.remove()
+            drawn = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]
             return drawn[:, :, :3].copy()
 
     def close(self) -> None:
@@ -105,63 +108,104 @@ class Renderer:
         FigureCanvasAgg(figure)
         return figure
 
-    def _draw_curves(self, left: Any, right: Any, shown: int) -> str:
-        """Draw estimates and their distance at the first instants, and return the headline."""
+    def _lay_out(self, figure: Figure, limits: _Limits) -> None:
+        """Draw what stands still with the axes: the axes, equilibrium, deadline and all links that are ever up."""
+        self._axes = figure.subplot_mosaic(
+            [["estimates", "distance"], ["estimates", "graph"]],
+            width_ratios=[3, 2],
+            height_ratios=[2, 3],
+            gridspec_kw={"left": 0.07, "right": 0.975, "top": 0.86, "bottom": 0.17, "wspace": 0.24, "hspace": 0.5},
+        )
+        estimates, distance, graph = (self._axes[name] for name in ("estimates", "distance", "graph"))
         game, clock = self._states[0].game, self.world.clock
-        estimates = np.array([state.estimates[:, :, 0] for state in self._states])
-        far = np.array([distances.estimate_distance(state.estimates, state.game)[0] for state in self._states])
-        values = np.concatenate([estimates.ravel(), game.nash_equilibria[:, 0]])
-        margin = 0.05 * np.ptp(values) or 1.0
-        nearest = max(min(1.0, far.min()), distances.FLOOR)
-        left.set_ylim(values.min() - margin, values.max() + margin)
-        right.set(ylim=(nearest / 1.5, 1.5 * max(far.max(), 10 * nearest)), yscale="log")  # a decade at least
-        right.set_title("relative distance of the estimates", loc="left")
-        right.minorticks_off()
-        for axes in (left, right):
-            axes.set(xlim=(0, clock.t[-1]), xlabel="time t [s]")
+        reading = "lines: strategies" if self._is_crowded else "thick: strategies, thin: others' estimates"
+        estimates.set_title(f"{reading}, dotted: equilibrium", loc="left")
+        for component, owner in enumerate(game.owners):
+            estimates.axhline(game.nash_equilibria[component, 0], color=_colour(owner), linestyle=":", linewidth=1)
+        if game.num_players <= 10:  # as many names as fit below the axes
+            for player in range(game.num_players):
+                estimates.plot([], [], color=_colour(player), linewidth=2, label=f"player_{player}")
+            place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.11), "ncols": 5}
+            estimates.legend(columnspacing=1.2, handlelength=1.4, **place)
+        distance.set_yscale("log")
+        distance.set_title("relative distance of the estimates", loc="left")
+        distance.minorticks_off()
+        for axes, limit in zip((estimates, distance), limits, strict=True):
+            axes.set(xlim=(0, clock.t[-1]), xlabel="time t [s]", ylim=limit)
             axes.axvline(clock.deadline, color=FAINT, linewidth=1)
             at: Any = (clock.deadline, 1), (-4, -2), ("data", "axes fraction"), "offset points"
             axes.annotate("T", *at, ha="right", va="top")
-        is_crowded = game.dimension * game.num_players > MOST_ESTIMATES
-        reading = "lines: strategies" if is_crowded else "thick: strategies, thin: others' estimates"
-        left.set_title(f"{reading}, dotted: equilibrium", loc="left")
-        times, last = clock.t[:shown], {"marker": "o", "markevery": [-1], "markersize": 4}
+        x, y = self._places
+        for i, j in self.world.topology.union.edges:
+            graph.plot(x[[i, j]], y[[i, j]], color=FAINT, linestyle=":", linewidth=1.5 * self._thinness, zorder=1)
+        graph.set(aspect="equal", xlim=(-1.4, 1.4), ylim=(-1.15, 1.15))
+        graph.set_title("live links")
+        graph.axis("off")
+
+    def _draw_moving(self, figure: Figure, estimates: FloatArray, far: Sequence[float]) -> list[Any]:
+        """Draw what moves: strategies, estimates, distance, live links and the headline."""
+        game, times, players = self._states[0].game, self.world.clock.t[: len(far)], self.world.game.num_players
+        left, distance, graph = (self._axes[name] for name in ("estimates", "distance", "graph"))
+        last: dict[str, Any] = {"marker": "o", "markevery": [-1], "markersize": 4}
+        moving: list[Any] = []
         for component, owner in enumerate(game.owners):
-            colour, of_all = self._colours[owner], estimates[:shown, component]
-            is_named = game.num_players <= 10 and owner not in game.owners[:component]  # as many fit below the axes
-            left.axhline(game.nash_equilibria[component, 0], color=colour, linestyle=":", linewidth=1)
-            if not is_crowded:
-                left.plot(times, np.delete(of_all, owner, axis=1), color=colour, linewidth=0.7, alpha=0.5)
-            label = f"player_{owner}" if is_named else None
-            left.plot(times, of_all[:, owner], color=colour, linewidth=0.9 if is_crowded else 2.0, label=label, **last)
-        if game.num_players <= 10:
-            place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.11), "ncols": 5}
-            left.legend(columnspacing=1.2, handlelength=1.4, **place)
-        right.plot(times, np.maximum(far[:shown], distances.FLOOR), color=INK, **last)
-        error = far[shown - 1]
-        reached = f"error {error:.1e}" if error > distances.FLOOR else f"error below {distances.FLOOR:.0e}"
-        return f"{self.title}    t = {times[-1]:.3f} s    {reached}"
-
-    def _draw_graph(self, axes: Any, state: State) -> None:
-        """Draw the players on a circle, dotted all links that are ever up, and those that are up in a state."""
-        from matplotlib.collections import LineCollection
-
-        players, places = len(self._places), self._places
-        thinness = min(1.0, 10 / players)  # of links, where there are many players
-        live = self.world.topology.graphs[int(dynamics.active_mode(self.world, state)[0])]
-        styles = {(":", 1.5, FAINT): self.world.topology.union, ("-", 2.5, INK): live}
-        for (style, width, colour), graph in styles.items():
-            ends = [places[[i, j]] for i, j in graph.edges]
-            axes.add_collection(LineCollection(ends, colors=colour, linestyles=style, linewidths=width * thinness))
-        for i, j in np.argwhere(live.adjacency * (live.adjacency.T == 0)):  # i hears j, and j does not hear i
-            tip = {"arrowstyle": "-|>", "color": INK, "linewidth": 0, "mutation_scale": 18 * thinness}
-            axes.annotate("", (places[i] + places[j]) / 2, (places[i] + 3 * places[j]) / 4, arrowprops=tip)
+            if not self._is_crowded:
+                others = np.delete(estimates[:, component], owner, axis=1)
+                moving += left.plot(times, others, color=_colour(owner), linewidth=0.7, alpha=0.5)
+            width = 0.9 if self._is_crowded else 2.0
+            moving += left.plot(times, estimates[:, component, owner], color=_colour(owner), linewidth=width, **last)
+        moving += distance.plot(times, np.maximum(far, distances.FLOOR), color=INK, **last)
+        x, y = self._places
+        mode = int(dynamics.active_mode(self.world, self._states[-1])[0])
+        links = self.world.topology.graphs[mode]
+        for i, j in links.edges:
+            moving += graph.plot(x[[i, j]], y[[i, j]], color=INK, linewidth=2.5 * self._thinness, zorder=1)
+        for i, j in np.argwhere(links.adjacency * (links.adjacency.T == 0)):  # i hears j, and j does not hear i
+            tip = {"arrowstyle": "-|>", "color": INK, "linewidth": 0, "mutation_scale": 18 * self._thinness}
+            ends: Any = (x[i] + 3 * x[j]) / 4, (y[i] + 3 * y[j]) / 4
+            moving.append(graph.annotate("", (x[[i, j]].mean(), y[[i, j]].mean()), ends, arrowprops=tip))
         size = min(16.0, 220 / players)  # of a node, in points, so that neighbours on the circle do not touch
-        ring: dict[str, Any] = {"edgecolor": self._colours, "linewidth": min(1.8, size / 4), "zorder": 2}
-        axes.scatter(*places.T, s=size**2, color="white", **ring)
+        ring: dict[str, Any] = {"edgecolor": [_colour(player) for player in range(players)], "zorder": 2}
+        moving += [graph.scatter(x, y, s=size**2, color="white", linewidth=min(1.8, size / 4), **ring)]
         centred: dict[str, Any] = {"ha": "center", "va": "center_baseline", "fontsize": "small", "zorder": 3}
-        for player in range(players if players <= 14 else 0):
-            axes.text(*places[player], str(player), **centred)
-        axes.set(aspect="equal", xlim=(-1.4, 1.4), ylim=(-1.15, 1.15))
-        axes.set_title("live links")
-        axes.axis("off")
+        moving += [graph.text(x[i], y[i], str(i), **centred) for i in range(players if players <= 14 else 0)]
+        reached = f"error {far[-1]:.1e}" if far[-1] > distances.FLOOR else f"error below {distances.FLOOR:.0e}"
+        headline = f"{self.title}    t = {times[-1]:.3f} s    {reached}"
+        bold: dict[str, Any] = {"fontsize": 13, "fontweight": "bold", "transform": figure.transFigure}
+        return [*moving, left.text(0.07, 0.945, headline, **bold)]
+
+    @property
+    def _is_crowded(self) -> bool:
+        """Whether there are too many estimates of other players to be drawn beside the strategies."""
+        return self.world.game.dimension * self.world.game.num_players > 200
+
+    @property
+    def _thinness(self) -> float:
+        """Factor of the widths of links, which are thinner where there are many players."""
+        return min(1.0, 10 / self.world.game.num_players)
+
+    @property
+    def _places(self) -> tuple[FloatArray, FloatArray]:
+        """The places of the players on a circle, clockwise from the top."""
+        players = self.world.game.num_players
+        angles = np.pi / 2 - 2 * np.pi * np.arange(players) / players
+        return np.cos(angles), np.sin(angles)
+
+
+def _colour(player: int) -> str:
+    return COLOURS[player % len(COLOURS)]
+
+
+def _histories(states: Sequence[State]) -> tuple[FloatArray, list[float]]:
+    """Return the estimates, shape (instants, n, N), and their relative distance at every instant."""
+    estimates = np.array([state.estimates[:, :, 0] for state in states])
+    return estimates, [float(distances.estimate_distance(state.estimates, state.game)[0]) for state in states]
+
+
+def _axis_limits(estimates: FloatArray, far: Sequence[float], state: State) -> _Limits:
+    """Return the limits of the vertical axes: of estimates and equilibria, and of a decade of distances at least."""
+    values = np.concatenate([estimates.ravel(), state.game.nash_equilibria[:, 0]])
+    margin = 0.05 * (values.max() - values.min()) or 1.0
+    nearest = max(min(1.0, *far), distances.FLOOR)
+    farthest = max(*far, 10 * nearest)
+    return (float(values.min() - margin), float(values.max() + margin)), (nearest / 1.5, 1.5 * farthest)

@@ -104,8 +104,13 @@ class VectorParallelEnv:
 
     @property
     def max_cycles(self) -> int | None:
-        """The number of steps after which an episode is truncated, or ``None``."""
+        """The number of steps after which an episode is truncated, or ``None``; may be set at any time."""
         return self._blocks[0].max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int | None) -> None:
+        for block in self._blocks:
+            block.max_cycles = value
 
     @property
     def estimates(self) -> FloatArray:

@@ -71,17 +71,25 @@ def save_episode(
 def _draw_pictures(run: Trajectories, count: int, progress: Callable[[str, int, int], None] | None) -> Iterator[Any]:
     """Yield ``count`` pictures of an episode, uint8 arrays of shape (height, width, 3)."""
     world, start = run.rollout.world, run.episodes.initial_state(run.rollout.world)
+    states = [
+        start._replace(step=np.array([step]), estimates=estimates.swapaxes(0, 1))
+        for step, estimates in enumerate(run.estimates)
+    ]
+    wanted = np.unique(np.linspace(0, len(states) - 1, count).round().astype(int)).tolist()
     renderer = Renderer(world, "rgb_array", f"{world.scenario.name}: {run.policy}")
-    renderer.reset(start)
-    for step, estimates in enumerate(run.estimates[1:], 1):
-        renderer.record(start._replace(step=np.array([step]), estimates=estimates.swapaxes(0, 1)))
-    wanted = np.unique(np.linspace(1, len(run.t), count).round().astype(int)).tolist()
-    for drawn, instants in enumerate(wanted, 1):
+    renderer.fix_axes(states)
+    renderer.reset(states[0])
+    for step, state in enumerate(states):
+        picture = None
         with delay_ctrl_c():  # artists of former pictures are forgotten anywhere in it
-            picture = renderer.draw(instants)
-            if progress is not None:
-                progress(world.scenario.name, drawn, len(wanted))
-        yield picture
+            if step > 0:
+                renderer.record(state)
+            if step in wanted:
+                picture = renderer.draw()
+                if progress is not None:
+                    progress(world.scenario.name, 1 + wanted.index(step), len(wanted))
+        if picture is not None:
+            yield picture
 
 
 def encode_gif(pictures: Iterator[Any], per_second: int = 20) -> bytes:
