@@ -16,16 +16,13 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from ptne_env.evaluation import get_policy_spec
-from ptne_env.evaluation.episodes import EpisodeSet
+from ptne_env import record
 from ptne_env.games import CournotMarket
-from ptne_env.report.traces import make_scene
 from ptne_env.shared.style import COLOURS, INK, drawing
-from ptne_env.suites import get_suite
 
 ROOT = Path(__file__).parents[1]
 TABLE, PICTURE = ROOT / "ptne_env" / "games" / "market_118.csv", ROOT / "docs" / "images" / "market.png"
-LAWS = "relay", "routed-unknown", "static"
+TRACK, LAWS = "ptne-v1/market-118", ("relay", "routed-unknown", "static")
 
 
 def generators(case: dict[str, Any]) -> list[tuple[int, float, float, float, str]]:
@@ -62,30 +59,30 @@ def write_table() -> None:
 
 def draw_picture() -> None:
     """Draw the price under several laws, and all outputs under the first of them, in the first episode of the track."""
-    track, episodes = get_suite("ptne-v1").track("market-118"), EpisodeSet(1, track=("ptne-v1", "market-118"))
-    market = episodes.initial_state(track.world).game
+    runs = {law: record(law, TRACK) for law in LAWS}
+    run, strategies = runs[LAWS[0]], {law: run.strategies[:, :, 0].T for law, run in runs.items()}
+    market, equilibrium = run.episodes.initial_state(run.rollout.world).game, run.nash_equilibria[:, 0]
     assert isinstance(market, CournotMarket)  # noqa: S101 - for the types
-    scene = make_scene(track, episodes, [get_policy_spec(law) for law in LAWS])
-    steps = np.arange(len(scene.t))
-    kinds = {"at capacity": scene.equilibrium == market.high, "stopped": scene.equilibrium == 0}
+    steps = np.arange(len(run.t))
+    kinds = {"at capacity": equilibrium == market.high, "stopped": equilibrium == 0}
     kinds["between"] = ~(kinds["at capacity"] | kinds["stopped"])
     with drawing("figures"):
         figure = Figure(figsize=(8, 3.4), dpi=130, layout="constrained")
         canvas = FigureCanvasAgg(figure)
         left, right = figure.subplots(1, 2)
         for law, colour in zip(LAWS, COLOURS, strict=False):
-            price = market.price(scene.traces[law].strategies)
+            price = market.price(strategies[law])
             left.plot(steps, price, color=colour, label=law)
-        at_rest = float(market.price(scene.equilibrium[:, None])[0])
+        at_rest = float(market.price(equilibrium[:, None])[0])
         left.axhline(at_rest, color=INK, linestyle=":", linewidth=1, label="equilibrium")
         left.set(title="Price in $/MWh", xlabel="step", xlim=(0, steps[-1]))
         left.legend()
         for (kind, firms), colour in zip(kinds.items(), ("#d55e00", "#7f7f7f", "#0072b2"), strict=True):
-            lines = scene.traces[LAWS[0]].strategies[firms]
+            lines = strategies[LAWS[0]][firms]
             for line in lines:
                 right.plot(steps, line, color=colour, linewidth=0.8, alpha=0.8)
             right.plot([], [], color=colour, label=f"{kind} at the equilibrium ({len(lines)})")
-            right.plot(np.full(len(lines), steps[-1]), scene.equilibrium[firms], "o", color=colour, markersize=3)
+            right.plot(np.full(len(lines), steps[-1]), equilibrium[firms], "o", color=colour, markersize=3)
         right.set(title=f"Outputs in MW under {LAWS[0]}; dots: equilibrium", xlabel="step", xlim=(0, steps[-1] + 3))
         right.set_ylim(top=1.35 * right.get_ylim()[1])  # room for the legend
         right.legend(loc="upper left")

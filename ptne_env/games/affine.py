@@ -134,7 +134,11 @@ class AffineGame(Game):
         return np.broadcast_to(self.matrices, (*self.matrices.shape[:2], strategies.shape[1])).copy()
 
     def best_response(self, strategies: FloatArray) -> FloatArray:
-        """−A_ii⁻¹ (Σ_{j≠i} A_ij x_j + b_i), or the minimiser in the box; an error where some A_ii is singular."""
+        """−A_ii⁻¹ (Σ_{j≠i} A_ij x_j + b_i), or the minimiser in the box: (n, B) to (n, B).
+
+        Raises:
+            NoBestResponseError: when some A_ii is singular.
+        """
         if self._own_inverse is None:
             raise NoBestResponseError(f"{type(self).__name__}: some J_i has a flat direction, so no best response")
         pressure = self._pressure(strategies)

@@ -318,7 +318,12 @@ class Game(Part, ABC):
 
     @property
     def nash_equilibrium(self) -> FloatArray:
-        """x* of a single game, shape (n,), read-only; ``ValueError`` for a batch, which has ``nash_equilibria``."""
+        """x* of a single game, shape (n,), read-only.
+
+        Raises:
+            ValueError: for a batch, which has ``nash_equilibria``.
+            ArithmeticError: when no equilibrium is found.
+        """
         if self.batch_size != 1:
             raise ValueError(f"a batch of {self.batch_size} games has nash_equilibria, one column each")
         return self.nash_equilibria[:, 0]

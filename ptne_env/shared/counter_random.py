@@ -43,7 +43,11 @@ def mix(values: CounterArray) -> CounterArray:
 
 
 def child_keys(keys: CounterArray, index: int) -> CounterArray:
-    """Return the keys of child stream ``index``, in [0, 2^64), of the streams ``keys``, in the same shape."""
+    """Return the keys of child stream ``index`` of the streams ``keys``, in the same shape.
+
+    Raises:
+        OverflowError: when ``index`` is negative or not below 2^64.
+    """
     # Mixed twice, so that a child's key is not a number of its parent's stream.
     return mix(mix(mix(keys) + np.uint64(index) * np.ones(1, np.uint64) * _GAMMA) ^ _GAMMA)
 
