@@ -34,8 +34,8 @@ from ptne_env.report.traces import Scene, make_scene
 from ptne_env.shared.style import COLOURS, DARK, LIGHT
 from ptne_env.world.catalogue import DESCRIPTIONS
 
-EPISODES = 20
-"""Largest number of episodes behind the errors over time; a track with fewer shows all of them."""
+EPISODES, MANY = 10, 20
+"""Largest number of episodes behind the errors over time; and of players above which it is one, which takes as long."""
 
 
 @dataclass(frozen=True)
@@ -131,12 +131,13 @@ def results_page(
     Raises:
         ImportError: when Jinja is missing, naming the extra to install.
     """
-    drawn: dict[int, Scene] = {}
-    for index, scene in workers.run(make_scene, [_scene_arguments(results, track) for track in results.tracks]):
-        drawn[index] = scene
+    drawn: dict[str, Scene] = {}
+    longest_first = sorted(results.tracks, key=lambda track: -len(track.world.neighbours.ravel()))
+    for index, scene in workers.run(make_scene, [_scene_arguments(results, track) for track in longest_first]):
+        drawn[longest_first[index].name] = scene
         if progress is not None:
-            progress(results.tracks[index].name, len(drawn), len(results.tracks))
-    scenes = {track.name: drawn[index] for index, track in enumerate(results.tracks)}
+            progress(longest_first[index].name, len(drawn), len(results.tracks))
+    scenes = {track.name: drawn[track.name] for track in results.tracks}
     facts = {
         **({"command": command} if command else {}),
         "suite": results.name,
@@ -180,7 +181,8 @@ def _scene_arguments(results: Results, track: Track) -> tuple[Track, EpisodeSet,
     acting = [name for name in order_policies(results) if (track.name, name) in results.samples]
     names = [name for name in leaders(results) if name in acting] or acting[:1]
     whole = results.episode_sets[track.name]
-    return track, replace(whole, count=min(EPISODES, whole.count)), [results.policies[name] for name in names]
+    count = 1 if track.world.game.num_players > MANY else min(EPISODES, whole.count)
+    return track, replace(whole, count=count), [results.policies[name] for name in names]
 
 
 def _track_section(results: Results, track: Track, episodes: int) -> Section:

@@ -9,7 +9,7 @@ from ptne_env.evaluation import Track
 from ptne_env.laws import Relay
 from ptne_env.suites import get_suite
 
-EPISODES = 5
+EPISODES = 10
 
 
 @cache
