@@ -103,7 +103,9 @@ def compare(scenario, interface, reward=None, size=0.3, options=None):
 
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_scenario_is_the_same_on_jax(name):
-    compare(SCENARIOS[name], "scaled" if len(name) % 2 else "physical")
+    # The regret of 54 players takes JAX half a minute to compile; those of the other games are compared.
+    reward = {"digits": 0.1, "tracking": 0.1, "payoff": 0.1} if name == "ptne-v1/market-118" else None
+    compare(SCENARIOS[name], "scaled" if len(name) % 2 else "physical", reward)
 
 
 @pytest.mark.parametrize("name", ["random-energy-switching", "non-quadratic", "ptne-v1/uneven-box", "faulty"])
