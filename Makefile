@@ -25,10 +25,10 @@ test: lint types unit
 
 # The core in half a minute, without installing anything anew. It leaves out the tests of the core that take longest: laws
 # (one file stays, which compares them with an independent program), fresh interpreters, pictures, adapters to PyTorch's
-# libraries, the audit of shipped policies, and the simulations of intervals.
+# libraries, the audit of shipped policies, files and figures of trajectories, and the simulations of intervals.
 QUICK = $(filter-out tests/laws tests/test_import.py,$(CORE)) tests/laws/test_against_reference.py tests/test_golden.py
 LEFT  = $(addprefix tests/,envs/test_rendering.py envs/test_sb3.py envs/test_torchrl.py \
-	evaluation/test_audit.py evaluation/test_statistics.py)
+	evaluation/test_audit.py evaluation/test_statistics.py evaluation/test_trajectories.py)
 quick:
 	@test -x $(BIN)/pytest || $(MAKE) $(VENV)/.test
 	$(PYTEST) --quiet $(QUICK) $(addprefix --ignore ,$(LEFT))
