@@ -162,6 +162,8 @@ def rollout(
     teammates: Member | None = None,
     watch: Callable[[State, FloatArray | None], None] | None = None,
     witnesses: Sequence[Witness] = (),
+    *,
+    counts_messages: bool = True,
 ) -> Rollout:
     """Run a policy from the state at t = 0 to the end of every episode.
 
@@ -173,6 +175,7 @@ def rollout(
         watch: a function that is called with every state and the inputs (n, N, B) that are held from it, ``None`` with
             the last state.
         witnesses: the witnesses that audit the decisions of ``policy``.
+        counts_messages: whether :func:`record_messages` is among the series, which the optional metrics need.
 
     Raises:
         PolicyError: as :meth:`Member.decide`.
@@ -194,7 +197,9 @@ def rollout(
         if step in instants:
             numbers |= record_regret(state)
         if inputs is not None and step < clock.steps:
-            numbers |= record_step(world, state, inputs, step) | record_messages(world, before, state)
+            numbers |= record_step(world, state, inputs, step)
+            if counts_messages:
+                numbers |= record_messages(world, before, state)
         for name, values in numbers.items():
             series.setdefault(name, []).append(values)
         if inputs is not None:
