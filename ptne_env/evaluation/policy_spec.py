@@ -133,8 +133,11 @@ class PolicySpec:
 
     def on_scenario(self, name: str) -> PolicySpec:
         """Return the policy that plays a scenario: that of its file if there is one file per track, or itself."""
-        sources = tuple(_files_by_track(source).get(name, source) for source in self.training_seeds)
-        return replace(self, policy=sources)
+        by_track = [_files_by_track(source) for source in self.training_seeds]
+        if not any(by_track):
+            return self
+        sources = zip(by_track, self.training_seeds, strict=True)
+        return replace(self, policy=tuple(files.get(name, source) for files, source in sources))
 
     def build(self, layout: ObservationLayout, training_seed: int = 0) -> Policy:
         """Build the policy of a training seed for a layout.
@@ -259,6 +262,9 @@ class _Policies(Mapping[str, PolicySpec]):
 
     def __len__(self) -> int:
         return len(TABLE)
+
+    def __contains__(self, name: object) -> bool:
+        return name in TABLE  # without making it
 
 
 @cache

@@ -132,7 +132,7 @@ def results_page(
         ImportError: when Jinja is missing, naming the extra to install.
     """
     drawn: dict[str, Scene] = {}
-    longest_first = sorted(results.tracks, key=lambda track: -len(track.world.neighbours.ravel()))
+    longest_first = sorted(results.tracks, key=lambda track: track.world.neighbours.size, reverse=True)
     for index, scene in workers.run(make_scene, [_scene_arguments(results, track) for track in longest_first]):
         drawn[longest_first[index].name] = scene
         if progress is not None:

@@ -75,6 +75,7 @@ def test_a_policy_may_have_one_file_per_track(tmp_path):
     several = get_policy_spec(f"mine={tmp_path}/{{track}}.npz")
     assert PolicySpec.from_dict(several.to_dict()) == several
     alone = get_policy_spec(tmp_path / f"{name}.npz")
+    assert alone.on_scenario(name) is alone  # no file is read again for each job
     results = evaluate([several, alone], [name, other], episodes=3)
     assert np.array_equal(results.samples[name, "mine"]["digits"], results.samples[name, name]["digits"])
     assert results.not_applicable == {
