@@ -75,8 +75,8 @@ def file_hash(path: str | Path) -> str | None:
 
 def versions(others: Iterable[str] = ()) -> dict[str, str]:
     """Return the versions of the library, of :data:`LIBRARIES`, and of those of ``others`` that are installed."""
-    installed = {"ptne_env": __version__}
-    for library in (*LIBRARIES, *others):
+    installed = {"ptne_env": __version__, **{library: metadata.version(library) for library in LIBRARIES}}
+    for library in others:
         with suppress(metadata.PackageNotFoundError):
             installed[library] = metadata.version(library)
     return installed

@@ -83,7 +83,10 @@ class Store:
         samples = {name: to_json_list(values) for name, values in result.samples.items()}
         content = {"key": key, "job": content_of(job), "samples": samples, "not_applicable": result.not_applicable}
         text = json.dumps(content | {"checksum": content_hash(content)}, allow_nan=False, ensure_ascii=False)
-        write_atomically(self.path(key), text)
+        path = self.path(key)
+        if path.exists() and not path.is_file():  # a pipe, which is no file of a job, and may never be read
+            path.unlink()
+        write_atomically(path, text)
 
 
 @dataclass

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import tempfile
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from functools import cache
-from importlib.resources import files
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
@@ -109,9 +111,15 @@ def _refuse(constant: str) -> None:
 
 @cache
 def shipped_files(folder: str, *endings: str) -> Mapping[str, Path]:
-    """Return the files in a folder of the library by their names without endings, in order."""
-    paths = Path(str(files("ptne_env").joinpath(folder))).iterdir()
-    return {path.stem: path for path in sorted(paths, key=lambda path: path.stem) if path.suffix in endings}
+    """Return the files in a folder of the library by their names without endings, in order.
+
+    They are copies, which the end of the process removes, where the library is imported from a zip.
+    """
+    copies = ExitStack()
+    atexit.register(copies.close)
+    named = [(Path(file.name), file) for file in files("ptne_env").joinpath(folder).iterdir()]
+    shipped = sorted((path.stem, file) for path, file in named if path.suffix in endings)
+    return {name: copies.enter_context(as_file(file)) for name, file in shipped}
 
 
 def require_suffix(subject: str, path: Path, known: Iterable[str]) -> str:

@@ -1,6 +1,7 @@
 """The store and the runner: jobs are stored atomically, not run again, and damaged files are noticed."""
 
 import json
+import os
 import random
 
 import numpy as np
@@ -85,6 +86,17 @@ def test_a_stored_result_of_another_job_or_form_is_run_again(tmp_path):
         content = {key: value for key, value in (data | change).items() if key != "checksum"}
         path.write_text(json.dumps(content | {"checksum": content_hash(content)}), encoding="utf-8")
         assert store.find(JOB) is None
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_in_the_place_of_a_result_is_replaced_by_it(tmp_path):
+    store = Store(tmp_path)
+    path = store.path(key_of(JOB))
+    path.parent.mkdir()
+    os.mkfifo(path)
+    assert store.find(JOB) is None
+    store.save(JOB, JobResult(not_applicable="no"))
+    assert store.find(JOB).not_applicable == "no"
 
 
 def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path):

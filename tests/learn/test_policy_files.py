@@ -1,11 +1,15 @@
 """Reading policy files: they are data, and what is damaged, foreign, large or made for something else is refused."""
 
+from hashlib import sha256
 from pathlib import Path
+from textwrap import dedent
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
 from affine_games import SOAK
 from policy_files import OBSERVATION, RECURRENT, layered, metadata, pack, pack_text, write
+from processes import run_python
 
 import ptne_env
 from ptne_env import Interface, learn
@@ -14,6 +18,7 @@ from ptne_env.learn import PolicyFileError, npz_policy
 from ptne_env.learn.sb3_archive import load_archive
 from ptne_env.perception.observation import LayoutError
 from ptne_env.shared.files import DamagedFileError
+from ptne_env.training import configurations
 
 
 def opened(content):
@@ -152,6 +157,26 @@ def test_a_missing_policy_names_the_shipped_ones():
         learn.load("no-such-policy")
     with pytest.raises(FileNotFoundError, match=r"there is no file 'missing\.npz'"):
         learn.load("missing.npz")
+
+
+def test_the_shipped_files_are_found_in_a_zip(tmp_path):
+    package, archive = Path(ptne_env.__file__).parent, tmp_path / "library.zip"
+    with ZipFile(archive, "w") as library:
+        for path in package.rglob("*.*"):
+            if path.suffix in (".py", ".npz", ".toml"):
+                library.write(path, path.relative_to(package.parent))
+    program = """
+    import hashlib, ptne_env
+    from ptne_env import learn, training
+    assert ".zip" in ptne_env.__file__
+    print(*(hashlib.sha256(learn.shipped_path(name).read_bytes()).hexdigest() for name in learn.shipped_names()))
+    print(*training.configurations())
+    """
+    hashes, names = run_python("-c", dedent(program), modules=[archive], folder=tmp_path).stdout.splitlines()
+    assert hashes.split() == [
+        sha256(learn.shipped_path(name).read_bytes()).hexdigest() for name in learn.shipped_names()
+    ]
+    assert names.split() == list(configurations())
 
 
 @pytest.mark.parametrize(
