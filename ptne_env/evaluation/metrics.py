@@ -124,7 +124,8 @@ def register(metric: Metric) -> Metric:
 def measure(rollout: Rollout) -> dict[str, FloatArray]:
     """Compute every metric of a rollout, by name: one value per episode, shape (B,).
 
-    It is a ``ValueError``, which names the metric, when its function raises or returns something else.
+    Raises:
+        ValueError: when the function of a metric raises or returns something else; the message names the metric.
     """
     values, shape = {}, rollout.diverged.shape
     for name, metric in METRICS.items():

@@ -30,7 +30,11 @@ class Teammates:
     players: tuple[int, ...]
 
     def join(self, world: World) -> Member:
-        """Let the teammates act in a world; a ``ValueError`` where their policy cannot."""
+        """Let the teammates act in a world.
+
+        Raises:
+            ValueError: when their policy cannot act there.
+        """
         spec = PolicySpec("teammates", self.policy)
         encoder = Encoder(world, spec.interface)
         return Member(spec.build(encoder.layout), encoder, self.players)
@@ -44,8 +48,7 @@ class Track:
         name: the name, unique in a comparison or suite. In a suite, the seeds of the episodes depend on it.
         scenario: the physics, or its name in the catalogue.
         change: a sentence that says how it differs from the base of the suite.
-        teammates: players that follow a fixed policy, some but not all, or it is a ``ValueError``; ``None`` where every
-            player follows the policy that is run.
+        teammates: players that follow a fixed policy; ``None`` where every player follows the policy that is run.
         episodes: the number of episodes; ``None`` for that of the comparison or suite.
         scored: whether it counts for the score of a suite.
     """
@@ -136,7 +139,8 @@ class Suite:
     ) -> EpisodeSet:
         """Return the episodes of a track, whose own number stands before ``episodes``, and that before the suite's.
 
-        It is a ``ValueError`` for an unknown track or split, or a number out of range.
+        Raises:
+            ValueError: for an unknown track or split, or a number out of range.
         """
         count = self.track(track).episodes or (self.episodes if episodes is None else episodes)
         return EpisodeSet(count, seed, split, (self.name, track))

@@ -240,8 +240,10 @@ class Game(Part, ABC):
     def map_columns(self, function: Callable[..., FloatArray], *others: Game) -> Game:
         """Return the batch whose parameters are a function of those of several games, of which one is a batch at least.
 
-        Games are the last axis of the function's arrays. A game that is no batch, alone or with itself, is returned. It
-        is a ``TypeError`` when the games are of several kinds, or several and none a batch.
+        Games are the last axis of the function's arrays. A game that is no batch, alone or with itself, is returned.
+
+        Raises:
+            TypeError: when the games are of several kinds, or several and none a batch.
         """
         games = (self, *others)
         batch = next((game for game in games if game.is_batch), None)

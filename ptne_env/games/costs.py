@@ -81,7 +81,8 @@ class CostGame(Game):
     def _method(self) -> _Method:
         """How arrays of numpy are differentiated: the first way that agrees with differences at sampled points.
 
-        It is a ``ValueError`` when there is none, or the costs are no array (N, B) of finite numbers.
+        Raises:
+            ValueError: when there is none, or the costs are no array (N, B) of finite numbers.
         """
         name, units = type(self).__name__, 0.25 + self._units(16) / 2  # away from the bounds
         points = np.concatenate([self._spread(unit, np.zeros((self.dimension, self.batch_size))) for unit in units], 1)
@@ -141,7 +142,8 @@ class CostGame(Game):
     def best_response(self, strategies: FloatArray) -> FloatArray:
         """The minimisers in the box, to about 1e-12, from the best of 32 points per component: (n, B) to (n, B).
 
-        It is a ``NoBestResponseError`` when none is found, as where a cost falls without end.
+        Raises:
+            NoBestResponseError: when none is found, as where a cost falls without end.
         """
         response, found = self._respond(strategies)
         if not found.all():

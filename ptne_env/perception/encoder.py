@@ -194,7 +194,8 @@ class Encoder:
     def clip(self, actions: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.floating], IntArray]:
         """Clip actions, shape (B, N, action size), and count the entries of each player's that were outside, (B, N).
 
-        It is a ``NonFiniteActionError`` when an action holds NaN or infinity.
+        Raises:
+            NonFiniteActionError: when an action holds NaN or infinity.
         """
         bound = self.layout.action_bound
         highest, lowest = np.maximum.reduce(actions, axis=None), np.minimum.reduce(actions, axis=None)

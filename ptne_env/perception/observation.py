@@ -253,7 +253,8 @@ class ObservationLayout:
     def read(self, observation: Any) -> Observation:
         """Read observations of R players, shape (R, size), or of one player, shape (size,), of numpy or JAX.
 
-        It is a ``ValueError`` when they have another shape than this layout's, or lack a field that is read.
+        Raises:
+            ValueError: when they have another shape than this layout's, or lack a field that is read.
         """
         if observation.shape[-1:] != (self.size,):
             raise ValueError(

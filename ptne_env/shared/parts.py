@@ -279,7 +279,8 @@ def as_tuples(value: Any) -> Any:
 def _target(definition: Any) -> str:
     """Return the ``module:object`` that names a class or a function, with the package that exports it as the module.
 
-    It is a ``ValueError`` when no module has it under its name.
+    Raises:
+        ValueError: when no module has it under its name.
     """
     if not isinstance(definition, type | FunctionType):
         raise TypeError(f"a part is named by a string, a class or a function, got {definition!r}")

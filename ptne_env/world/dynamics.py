@@ -141,8 +141,9 @@ def restore(world: World, state: State, batch: int) -> State:
     several play the world's game, or one each that differs from it in its parameters alone. The memory of a channel is
     not checked.
 
-    It is a ``ValueError`` when it is no state, has another shape, a step or estimates out of range, other games, or
-    draws and messages that the world lacks or needs.
+    Raises:
+        ValueError: when it is no state, has another shape, a step or estimates out of range, other games, or draws and
+            messages that the world lacks or needs.
     """
     if not isinstance(state, State):
         raise ValueError(f"a state is a ptne_env.world.dynamics.State, got {type(state).__name__}")

@@ -144,7 +144,8 @@ def adjacency(graph: Any) -> Any:
     The attribute ``weight`` is 1 where it is missing. An edge u → v of a directed graph carries messages from u to v,
     so it is a_vu.
 
-    It is a ``ValueError`` when a label is no number, or two are the same number.
+    Raises:
+        ValueError: when a label is no number, or two are the same number.
     """
     if not isinstance(graph, nx.Graph):
         return graph if isinstance(graph, np.ndarray) else as_tuples(graph)

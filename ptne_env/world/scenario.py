@@ -136,7 +136,8 @@ class Scenario:
     def replace(self, **changes: Any) -> Scenario:
         """Return a copy with some fields changed; an object as ``transformation`` brings its deadline along.
 
-        It is a ``ValueError`` when a key is not a field, naming the fields.
+        Raises:
+            ValueError: when a key is not a field, naming the fields.
         """
         if isinstance(transformation := changes.get("transformation"), Part):
             changes = {"deadline": getattr(transformation, "deadline", self.deadline), **changes}

@@ -23,7 +23,8 @@ class Start(Part, ABC):
     def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:
         """Return the initial estimates of one environment, shape (n, N); column i is x^i(0).
 
-        It is a ``ValueError`` when the start is for another number of players or another dimension.
+        Raises:
+            ValueError: when the start is for another number of players or another dimension.
         """
 
 

@@ -114,7 +114,8 @@ class SwitchingTopology(Part):
     def schedule(self, instants: npt.ArrayLike) -> Schedule:
         """Return the schedule at ``instants`` (any shape) of the topology's clock.
 
-        It is a ``ValueError`` when an instant is negative, or every episode draws its own schedule.
+        Raises:
+            ValueError: when an instant is negative, or every episode draws its own schedule.
         """
         self._require_certain("schedule")
         times = _instants(instants)
@@ -247,7 +248,9 @@ def from_function(
     The signal returns a :class:`Graph` or what makes one. It is called here alone, at ``samples`` times from 0 to
     ``end`` and near switches, which are found to 1e-12 of ``end``; of several switches between two of these times, only
     one is found. The topology holds graphs and dwells, as any other, so it can be stored and sent to worker processes.
-    It is a ``ValueError`` when a number is out of range, or a graph is none.
+
+    Raises:
+        ValueError: when a number is out of range, or a graph is none.
     """
     grid = np.linspace(0.0, require_positive("end", end), require_count("samples", samples, 2), endpoint=False)
     graphs, switches, before = [as_graph(signal(0.0))], [0.0], 0.0
@@ -289,8 +292,10 @@ def random_graphs(players: int, probability: float, modes: int = 100, seed: int 
 
     It is an :class:`EpisodeTopology` on a pool of ``modes`` ≥ 2 graphs: the connected ones among graphs of Erdős and
     Rényi, which link every pair of N ≥ 2 ``players`` with ``probability``. The pool is a function of the arguments,
-    ``seed`` among them, so it belongs to the scenario and is the same in every episode. It is a ``ValueError`` when the
-    probability is not in (0, 1], or so small that hardly any graph is connected.
+    ``seed`` among them, so it belongs to the scenario and is the same in every episode.
+
+    Raises:
+        ValueError: when the probability is not in (0, 1], or so small that hardly any graph is connected.
     """
     require_positive_probability("probability", probability)
     count = require_count("modes", modes, 2)

@@ -138,7 +138,8 @@ class World:
     def draw_game(self, streams: Sequence[RandomStreams]) -> Game:
         """Draw the games of an episode, one environment per entry of ``streams``.
 
-        It is a ``ValueError`` when a drawn game is not strongly monotone, unless the family declares this.
+        Raises:
+            ValueError: when a drawn game is not strongly monotone, unless the family declares this.
         """
         family = self.game_family
         game = family.draw([stream.game for stream in streams])
