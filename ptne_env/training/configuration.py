@@ -34,7 +34,7 @@ class Configuration:
         scenario: the name of a scenario, of a track such as ``"ptne-v1/liar"``, or ``"module:object"``.
         algorithm: one of :data:`ALGORITHMS`.
         steps: the number of agent-steps.
-        envs: the number of environments that are stepped together.
+        batch: the number of agent-steps between updates; as many environments are stepped together as make them.
         rollout: the number of steps of every environment between updates.
         minibatches: the number of minibatches per epoch.
         epochs: the number of passes over a rollout.
@@ -51,7 +51,7 @@ class Configuration:
     scenario: str
     algorithm: str = "ippo"
     steps: int = 20_000_000
-    envs: int = 128
+    batch: int = 32_000
     rollout: int = 50
     minibatches: int = 32
     epochs: int = 1
@@ -64,7 +64,7 @@ class Configuration:
     def __post_init__(self) -> None:
         require_printable("scenario", self.scenario)
         require_name("algorithm", str(self.algorithm), ALGORITHMS)
-        for name in ("steps", "envs", "rollout", "minibatches", "epochs"):
+        for name in ("steps", "batch", "rollout", "minibatches", "epochs"):
             require_count(name, getattr(self, name), 1)
         require_count("seed", self.seed, 0)
         require_positive("learning_rate", self.learning_rate)
@@ -73,6 +73,10 @@ class Configuration:
         if not isinstance(self.hidden, list | tuple):
             raise ValueError(f"hidden must be a list of units, got {self.hidden!r}")
         object.__setattr__(self, "hidden", tuple(require_count("hidden", units, 1) for units in self.hidden))
+
+    def environments(self, players: int) -> int:
+        """Return the number of environments of so many players that learn, at least one."""
+        return max(1, self.batch // (self.rollout * players))
 
     @classmethod
     def from_toml(cls, name_or_path: str | Path, **changes: Any) -> Configuration:

@@ -107,13 +107,14 @@ class Learner:
         self.world = ptne_env.jax.JaxWorld(self.track.scenario, seed=configuration.seed)
         self.layout, self.team = self.world.layout, Team(self.track, self.world)
         self.players = self.team.learners
-        self.members = configuration.envs * len(self.players)
+        self.envs = configuration.environments(len(self.players))
+        self.members = self.envs * len(self.players)
         self.is_recurrent = configuration.algorithm.endswith("-rnn")
         self.sees_state = configuration.algorithm.startswith("mappo")
         self.columns = self.members * (1 if self.is_recurrent else configuration.rollout)
-        if self.columns % configuration.minibatches:
+        if self.columns < configuration.minibatches:
             what = "players of all environments" if self.is_recurrent else "samples of a rollout"
-            raise ValueError(f"minibatches must divide the {self.columns} {what}, got {configuration.minibatches}")
+            raise ValueError(f"minibatches must be at most the {self.columns} {what}, got {configuration.minibatches}")
         updates = -(-configuration.steps // (configuration.rollout * self.members))
         self.updates_per_chunk = -(-updates // EVALUATIONS)
         self.chunks = -(-updates // self.updates_per_chunk)
@@ -138,7 +139,7 @@ class Learner:
             "log_std": jnp.full((layout.action_size, 1), configuration.log_std, jnp.float32),
         }
         memory = jnp.zeros((units, self.members), jnp.float32)
-        state = self.world.reset(of_episodes, configuration.envs)
+        state = self.world.reset(of_episodes, self.envs)
         starts, one = jnp.ones(self.members, bool), jnp.ones((), jnp.float32)
         return Runner(params, self.optimiser.init(params), actor, state, memory, starts, one, jnp.zeros((), int))
 
@@ -166,7 +167,8 @@ class Learner:
             return (optax.apply_updates(params, change), optimiser), None
 
         keys = jax.random.split(of_batches, configuration.epochs)
-        orders = jnp.concatenate([jax.random.permutation(key, self.columns) for key in keys])
+        whole = self.columns - self.columns % configuration.minibatches  # an epoch leaves out the samples of a rest
+        orders = jnp.concatenate([jax.random.permutation(key, self.columns)[:whole] for key in keys])
         orders = orders.reshape(configuration.epochs * configuration.minibatches, -1)
         (params, optimiser), _ = jax.lax.scan(learn, (runner.params, runner.optimiser), orders)
         share = 1 / jnp.minimum(runner.done + 1, AVERAGED_UPDATES).astype(jnp.float32)

@@ -35,6 +35,7 @@ from ptne_env.shared.files import require_file
 from ptne_env.training.configuration import POLICY, Configuration, RunSummary, read_finished_run, write_record
 from ptne_env.training.curve import finish
 from ptne_env.world.catalogue import get_scenario
+from ptne_env.world.world import World
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -68,7 +69,7 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     began = monotonic()
     torch.set_num_threads(1)  # the networks are small: a second thread costs more time than it saves
     scenario = get_scenario(configuration.scenario)
-    env = PlayerVecEnv(scenario, configuration.envs)
+    env = PlayerVecEnv(scenario, configuration.environments(World(scenario).game.num_players))
     model = PPO("MlpPolicy", env, **_ppo_arguments(configuration, env.num_envs))
     checkpoints = out / "checkpoints"
     model.num_timesteps = resumed_at = _restore(model, checkpoints)

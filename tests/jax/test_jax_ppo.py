@@ -18,7 +18,7 @@ from ptne_env.training.curve import read_learning_curve
 
 SCENARIO = ptne_env.get_scenario("random-energy-switching", steps=15)
 SHORT = Configuration(
-    "test_jax_ppo:SCENARIO", steps=1000, envs=4, rollout=10, minibatches=2, epochs=2, hidden=(8, 6), log_std=-1.0
+    "test_jax_ppo:SCENARIO", steps=1000, batch=200, rollout=10, minibatches=2, epochs=2, hidden=(8, 6), log_std=-1.0
 )
 """Five updates in short episodes, which end within rollouts."""
 
@@ -162,14 +162,21 @@ def test_seeds_share_no_episode():
 
 def test_a_run_gains_digits(tmp_path):
     jax_ppo.train(
-        dataclasses.replace(SHORT, steps=40_000, envs=8, minibatches=4, hidden=(32, 32), log_std=-1.5), tmp_path
+        dataclasses.replace(SHORT, steps=40_000, batch=400, minibatches=4, hidden=(32, 32), log_std=-1.5), tmp_path
     )
     digits = read_learning_curve(tmp_path)[1]
     assert digits[-1] > digits[0] + 0.3
 
 
-def test_minibatches_that_do_not_divide_the_samples_are_refused():
-    with pytest.raises(ValueError, match="minibatches must divide the 20 players of all environments, got 3"):
-        learner("ippo-rnn", minibatches=3)
-    with pytest.raises(ValueError, match="minibatches must divide the 200 samples of a rollout, got 3"):
-        learner(minibatches=3)
+def test_any_number_of_minibatches_up_to_that_of_the_samples_will_do():
+    runner = learner("ippo-rnn", minibatches=3, rollout=5).start()  # 40 players: one is left out of every epoch
+    assert np.isfinite(learner("ippo-rnn", minibatches=3, rollout=5)._update(runner)[0].scale)
+    with pytest.raises(ValueError, match="minibatches must be at most the 20 players of all environments, got 21"):
+        learner("ippo-rnn", minibatches=21)
+    with pytest.raises(ValueError, match="minibatches must be at most the 200 samples of a rollout, got 201"):
+        learner(minibatches=201)
+
+
+@pytest.mark.parametrize(("players", "environments"), [(1, 640), (5, 128), (54, 11), (1000, 1)])
+def test_a_batch_has_as_many_agent_steps_for_any_number_of_players(players, environments):
+    assert Configuration("energy", batch=32_000, rollout=50).environments(players) == environments

@@ -54,7 +54,7 @@ def test_teammates_of_another_law_are_refused():
 
 
 def test_ppo_acts_for_the_other_players_alone():
-    it = jax_ppo.Learner(Configuration(TRACK, "mappo-rnn", envs=2, rollout=10, minibatches=2, hidden=(8, 6)))
+    it = jax_ppo.Learner(Configuration(TRACK, "mappo-rnn", batch=80, rollout=10, minibatches=2, hidden=(8, 6)))
     state = it.world.reset(jax.random.key(0), 2)
     assert it._observe(state).shape == (it.layout.size, 8)
     actions = np.random.default_rng(0).normal(size=(5, 8)).astype(np.float32)

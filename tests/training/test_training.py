@@ -26,7 +26,7 @@ from ptne_env.training.curve import VALIDATION_EPISODES, draw, evaluate_laws, re
 from ptne_env.training.ppo import export
 
 SCENARIO = ptne_env.get_scenario("random-energy", steps=40)
-SHORT = Configuration("test_training:SCENARIO", steps=700, envs=2, rollout=10, minibatches=2, hidden=(8,))
+SHORT = Configuration("test_training:SCENARIO", steps=700, batch=100, rollout=10, minibatches=2, hidden=(8,))
 """Seven rollouts of a hundred agent-steps, in short episodes."""
 
 
@@ -34,7 +34,7 @@ SHORT = Configuration("test_training:SCENARIO", steps=700, envs=2, rollout=10, m
     ("name", "value"),
     [
         ("steps", 0),
-        ("envs", True),
+        ("batch", True),
         ("minibatches", "5"),
         ("learning_rate", float("inf")),
         ("discount", 1.5),
@@ -65,7 +65,7 @@ def test_a_configuration_is_a_file_or_a_scenario(tmp_path):
     [
         ('scenario = "energy"\nstep = 3', "mine.toml: unknown value 'step'; did you mean 'steps'"),
         ("seed = 1", "mine.toml: scenario is missing"),
-        ('scenario = "energy"\nenvs = 0', "mine.toml: envs must be a whole number of at least 1, got 0"),
+        ('scenario = "energy"\nbatch = 0', "mine.toml: batch must be a whole number of at least 1, got 0"),
         ("\0", "mine.toml is not a TOML file"),
     ],
 )
