@@ -12,6 +12,9 @@ from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, fold, ordere
 _MOVED = 1e-5
 """Relative change of a float32 message above which it has moved, and is not only rounded otherwise."""
 
+_LOUD = 2.0
+"""A move of more than this times the noise is news although the own copy moves too, within noise."""
+
 
 class Contacts(NamedTuple):
     """What R players remember of their contacts."""
@@ -20,6 +23,7 @@ class Contacts(NamedTuple):
     heard: FloatArray  # whether they ever were, shape (R, D)
     moved: FloatArray  # own moves since the last contact, shape (R, D, n)
     seen: FloatArray  # relative estimates at its end, infinite before the first, shape (R, D, n)
+    before: FloatArray  # the own move that led there, shape (R, D, n)
     source: FloatArray  # whether the neighbour is a source, a player with a fresher copy, shape (R, D, n)
     votes: FloatArray  # for the neighbour less those against it, shape (R, D, n)
     news: FloatArray  # whether there is news of a component, shape (R, n)
@@ -28,7 +32,7 @@ class Contacts(NamedTuple):
 def initial_contacts(layout: ObservationLayout) -> Contacts:
     """Return the contacts of one player at the start of an episode."""
     links, slots = np.zeros((1, layout.slots)), np.zeros((1, layout.slots, layout.dimension))
-    return Contacts(links, links, slots, slots + np.inf, slots, slots, np.zeros((1, layout.dimension)))
+    return Contacts(links, links, slots, slots + np.inf, slots, slots, slots, np.zeros((1, layout.dimension)))
 
 
 def find_sources(
@@ -45,12 +49,13 @@ def find_sources(
     of component c and the neighbour's copy have moved since the last contact, at the end of which they knew each other.
     If only one copy has moved, it is the fresher copy, and the neighbour gets a vote for it or against it. If both have
     moved, the votes decide; with equal votes, the copy that has moved further is the fresher copy. In the first contact
-    a player that has no news of c takes the neighbour's copy. During a contact, the neighbour takes the
-    place of all sources when its copy moves by more than noise while the own copy rests, unless there is a live source
-    and the neighbour's copy moves towards the own copy. As soon as the player has met the owner of a component, the
-    owner is its only source.
+    a player that has no news of c takes the neighbour's copy. During a contact, the neighbour takes the place of all
+    sources when its copy moves by more than noise while the own copy rests, or by more than twice the noise while the
+    own copy moves within noise; unless it repeats the own moves of the step before, or there is a live source and the
+    neighbour's copy moves towards the own copy. As soon as the player has met the owner of a component, the owner is
+    its only source.
 
-    On a fixed graph with perfect messages the sources are the neighbours that are nearer to the owner.
+    On a fixed graph whose links may add constants to messages, the sources are the neighbours nearer to the owner.
 
     Args:
         observation: of R players.
@@ -79,8 +84,10 @@ def find_sources(
     # During a contact.
     source = (was.source > 0) & live
     wakes = (distance > distance_before) | ~_any_slot(source)
-    wakes &= np.abs(drift)[:, None] <= floor
+    quiet = np.where(j_moved > floor + _LOUD * noise, floor + noise, floor)  # a copy of noise never rests
+    wakes &= np.abs(drift)[:, None] <= quiet
     wakes &= j_moved > floor + noise
+    wakes &= np.abs(theirs - (was.before + was.moved)) > floor + noise  # else the neighbour copies the own moves
     wakes &= (links & linked)[:, :, None]
 
     # At the start of a contact, of few links in most steps.
@@ -106,6 +113,7 @@ def find_sources(
         heard=np.maximum(was.heard, links),
         moved=np.where(live & ~rests, 0.0, mine),
         seen=np.where(live, np.where(rests, seen, relative), was.seen),
+        before=np.where(live & ~rests, drift[:, None], was.before),
         source=source.astype(np.float64),
         votes=votes,
         news=np.maximum(was.news, _any_slot(source)[:, 0]),

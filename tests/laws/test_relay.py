@@ -271,6 +271,28 @@ def test_players_who_copy_each_other_do_not_exchange_their_copies_for_ever():
         assert not (swaps[:-1] & swaps[1:]).any()
 
 
+def distances_to_owners(scenario, seeds=range(6)):
+    """How far copies are from their owners' strategies at T, (n, N, B), in games of players with a component each."""
+    world, encoder = world_and_encoder(scenario)
+    estimates = run(world, encoder, laws.Relay(encoder.layout), begin(world, seeds))[-1]
+    return np.abs(estimates - np.einsum("ccb->cb", estimates)[:, None])
+
+
+def test_a_constant_error_on_links_adds_up_along_the_way_from_the_owner_alone():
+    """Two players who took each other's copies for news would add their errors in every step."""
+    bound, path = 0.02, FactorySpec.of("topology:path", players=5)
+    biased = RANDOM.replace(topology=path, channel=channel_part("Bias", bound=bound))
+    way = np.abs(np.subtract.outer(np.arange(5), np.arange(5)))
+    assert (distances_to_owners(biased) <= bound * way[:, :, None] + 1e-5).all()
+
+
+def test_copies_of_noise_do_not_hide_news():
+    """Two players who took each other's noise for news would go on copying it, and rest at no time."""
+    game, ring = (FactorySpec.of(part, players=8) for part in ("game:random-energy", "topology:cycle"))
+    start, channel = FactorySpec.of("start:uniform", low=-0.02, high=0.02), channel_part("AdditiveNoise", std=0.01)
+    assert distances_to_owners(RANDOM.replace(game=game, topology=ring, start=start, channel=channel)).max() < 0.1
+
+
 def test_slow_moves_add_up_to_news():
     """Inputs are so limited that no step moves a copy by more than noise."""
     slow = RANDOM.replace(name="slow", deadline=0.3, input_limit=4.0, channel=channel_part("AdditiveNoise", std=0.02))

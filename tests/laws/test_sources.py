@@ -17,10 +17,12 @@ class Sight:
         self.weights, self.unit = np.ones(self.relative_estimates.shape[:2]), np.ones((1, 1))
 
 
-def known(slots=1, live=0.0, moved=0.0, seen=0.0, source=0.0, votes=0.0, news=1.0):
+def known(slots=1, live=0.0, moved=0.0, seen=0.0, before=0.0, source=0.0, votes=0.0, news=1.0):
     """The contacts so far of one player in a game of one component."""
     links = np.ones((1, slots))
-    each = [np.broadcast_to(np.reshape(part, (1, -1, 1)), (1, slots, 1)) for part in (moved, seen, source, votes)]
+    each = [
+        np.broadcast_to(np.reshape(part, (1, -1, 1)), (1, slots, 1)) for part in (moved, seen, before, source, votes)
+    ]
     return Contacts(live * links, links, *each, np.full((1, 1), news))
 
 
@@ -30,10 +32,10 @@ def judge(sight, was, noise=0.0):
     return find_sources(sight, was, has_begun, np.zeros((1, 1)), no_owner, np.full((1, 1, 1), noise))
 
 
-def one_contact(mine, theirs, votes=0.0, seen=0.0, news=1.0, noise=0.0, lasts=False):
+def one_contact(mine, theirs, votes=0.0, seen=0.0, before=0.0, news=1.0, noise=0.0, lasts=False):
     """Whether the neighbour becomes the source at the start of a contact, or later; moves since the last one."""
     sight = Sight(theirs - mine + (seen if np.isfinite(seen) else 0.0))
-    was = known(live=float(lasts), moved=mine, seen=seen, votes=votes, news=news)
+    was = known(live=float(lasts), moved=mine, seen=seen, before=before, votes=votes, news=news)
     sources, fresh = judge(sight, was, noise)
     return sources.item(), fresh.votes.item()
 
@@ -53,6 +55,8 @@ def one_contact(mine, theirs, votes=0.0, seen=0.0, news=1.0, noise=0.0, lasts=Fa
         ((0.0, 1.0), {"lasts": True}, (True, 0)),  # during a contact, a move beyond noise is news
         ((0.0, 1.0), {"lasts": True, "noise": 0.9}, (True, 0)),
         ((0.0, 1.0), {"lasts": True, "noise": 1.1}, (False, 0)),
+        ((0.0, 1.0), {"lasts": True, "before": 1.0}, (False, 0)),  # unless it repeats the own move of the step before
+        ((0.0, 1.0), {"lasts": True, "before": 0.5}, (True, 0)),
     ],
 )
 def test_the_copy_that_moved_is_the_fresher_one(moves, memory, expected):
