@@ -15,6 +15,46 @@ class Damped(Static):
         return inputs / (1 + (observation.theta + observation.dt) / self.layout.deadline), memory
 
 
+class Late(Static):
+    """The static law with a gradient gain that grows from 1 to 3 until the deadline."""
+
+    def inputs(self, observation, memory):
+        inputs, memory = super().inputs(observation, memory)
+        return inputs - 2 * observation.elapsed * observation.gradient, memory
+
+
+class Gated(Static):
+    """The static law, which rests until s = 2."""
+
+    def inputs(self, observation, memory):
+        inputs, memory = super().inputs(observation, memory)
+        return inputs * (observation.transformed > 2), memory
+
+
+class Saturating(Static):
+    """The static law within ±5."""
+
+    def inputs(self, observation, memory):
+        inputs, memory = super().inputs(observation, memory)
+        return np.clip(inputs, -5, 5), memory
+
+
+class Rewritten(Static):
+    """The static law, which writes half of its inputs into its actions."""
+
+    def decide(self, rows, memory, starts, *, deterministic):
+        actions, memory = super().decide(rows, memory, starts, deterministic=deterministic)
+        return actions / 2, memory
+
+
+class DeadZone(Static):
+    """The static law, which ignores what is below 1e-3."""
+
+    def inputs(self, observation, memory):
+        inputs, memory = super().inputs(observation, memory)
+        return inputs * (np.abs(inputs) > 1e-3), memory
+
+
 class Sign(Law):
     """u = −sign of the gradient."""
 

@@ -22,6 +22,7 @@ from ptne_env.theory.closed_loop import (
     SampledLoop,
     decay_rate,
     distance,
+    follows,
     gain_growth,
     sampled_loop,
 )
@@ -202,6 +203,8 @@ class _Prediction:
             yield f"the start asks for |u| = {peak:.4g}, above the input limit, which the digits ignore"
         if layout.is_scaled:
             yield "the law acts through 'scaled', whose actions have a box of their own, which the digits ignore"
+        elif not follows(self.law, world, self.loop, path[: world.clock.steps]):
+            yield "the law is not linear for errors of the size of the start, which the digits ignore"
         if reach > world.message_range:
             yield f"messages of up to {reach:.4g} leave the range of links; the digits ignore that they are clipped"
         if world.start.is_random:

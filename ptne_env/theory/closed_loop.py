@@ -13,14 +13,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from scipy import linalg
 
 from ptne_env.games import Game
 from ptne_env.laws import Law
-from ptne_env.shared.arrays import FloatArray, IntArray, require_non_negative
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_non_negative
 from ptne_env.theory.constants import ZERO, jacobian_at_equilibrium, last_modes
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.graphs import Graph
@@ -29,6 +29,10 @@ from ptne_env.world.world import World
 
 LoopClock: TypeAlias = Literal["effective", "physical"]
 """The time in which the loop of a law is dx = −M x: τ, or t for a law without the time gain."""
+
+
+_NEAR = 2.0**-10
+"""The size of errors at which the loop of a law is measured: laws may saturate at larger ones."""
 
 
 class NoClosedLoopError(ValueError):
@@ -56,64 +60,55 @@ def closed_loop_matrix(game: Game, graph: Graph, kappa: float) -> FloatArray:
     return _restrict(matrix, game)
 
 
-def law_matrix(law: Law, game: Game, graph: Graph, theta: float = 1.0, dt: float = 1.0) -> FloatArray:
+def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
     """Return M of a law that is linear in gradient and differences, u = −M (x − 1⊗x*), as measured on the law.
 
-    Each player observes unit errors of its own estimate, and unit messages, at x*; its inputs are the columns of M. So
-    M is that of the code that acts in the environment, and a new law needs nothing added here.
+    Each player observes errors of its own estimate, and messages, of one component near x*, at t = 0 in a step with
+    Θ = Δt = 1; its inputs are the columns of M. So M is that of the code that acts in the environment, and a new law
+    needs nothing added here.
 
     Args:
         law: built for the layout of an environment with these players, whose union graph holds ``graph``; its gains,
             if it has any, are those of the start.
         game: the game; its F is linearised at x* unless it is affine.
         graph: the active graph.
-        theta: Θ of the step, for a law that reads it.
-        dt: Δt of the step, likewise.
 
     Returns:
         Shape (Nn, Nn), less the entries of strategies that bounds hold at x*.
 
     Raises:
-        NoClosedLoopError: for a law that is not linear in gradient and differences, reads more than these and its own
-            estimate, or remembers more than gains.
+        NoClosedLoopError: for a law that is not linear in gradient and differences near x*, reads more than these and
+            its own estimate, or remembers more than gains.
     """
     _require_loop(law)
-    layout, name = law.layout, type(law).__name__
-    n, players, slots = game.dimension, game.num_players, layout.slots
-    neighbours = np.array(layout.neighbours)  # (N, D)
+    n, players, slots = game.dimension, game.num_players, law.layout.slots
+    neighbours = np.array(law.layout.neighbours)  # (N, D)
     weights = graph.adjacency[np.arange(players)[:, None], neighbours]
     live = weights > 0
     own = game.owners == np.arange(players)[:, None]
 
-    # Rows per player: n errors of its own estimate, D n messages, one mixture of all of them, and rest.
-    kinds = n + slots * n + 2
-    mixture = np.random.default_rng(0).uniform(0.5, 1.5, kinds - 2)
+    # Rows per player: n errors of its own estimate, D n messages, a mixture of all, a small one of all, and rest.
+    kinds, small = n + slots * n + 3, 2.0**-20
+    mixture = np.random.default_rng(0).uniform(0.5, 1.5, kinds - 3)
     gradient, error = np.zeros((2, players, kinds, n))
     relative = np.zeros((players, kinds, slots, n))
     error[:, :n] = np.eye(n)
     gradient[:, :n] = np.where(own[:, None], jacobian_at_equilibrium(game).T, 0.0)  # R_iᵀ dF_i, one error per row
     relative[:, :n] = -np.eye(n)[:, None] * live[:, None, :, None]
     messages = np.eye(slots * n).reshape(slots * n, slots, n)
-    relative[:, n:-2] = messages * live[:, None, :, None]
+    relative[:, n:-3] = messages * live[:, None, :, None]
     for probes in (gradient, error, relative):
-        probes[:, -2] = np.tensordot(mixture, probes[:, :-2], axes=(0, 1))
+        probes[:, -3] = np.tensordot(mixture, probes[:, :-3], axes=(0, 1))
+        probes[:, -2] = small * probes[:, -3]
 
-    player = np.repeat(np.arange(players), kinds)
-    blank = np.zeros((player.size, layout.size))
-    blank[:, layout.slices["player"]] = np.eye(players)[player]
-    observation = layout.read(blank)._replace(
-        gradient=gradient.reshape(-1, n),
-        relative_estimates=relative.reshape(-1, slots, n),
-        weights=weights[player],
-        theta=np.full((player.size, 1), theta),
-        dt=np.full((player.size, 1), dt),
-        own_estimate=error.reshape(-1, n) + game.nash_equilibrium,
-    )
-    inputs = law.inputs(observation, law.initial_memory(player.size))[0].reshape(players, kinds, n)
-    mixed = np.tensordot(inputs[:, :-2], mixture, axes=(1, 0))
-    scale = 1e-9 * (1 + np.abs(mixed).max())
-    if np.abs(inputs[:, -1]).max() > scale or np.abs(mixed - inputs[:, -2]).max() > scale:
-        raise NoClosedLoopError(f"{name} is not linear in gradient and differences, so it has no closed-loop matrix")
+    weights = np.repeat(weights[:, None], kinds, axis=1)
+    inputs = _respond(law, game, weights, *(_NEAR * probes for probes in (gradient, relative, error))) / _NEAR
+    mixed = np.tensordot(inputs[:, :-3], mixture, axes=(1, 0))
+    wanted, scale = np.stack([mixed, small * mixed, 0 * mixed], axis=1), 1e-9 * (1 + np.abs(mixed).max())
+    if np.any(np.abs(wanted - inputs[:, -3:]).max(axis=(0, 2)) > scale * np.array([1, small, small])):
+        raise NoClosedLoopError(
+            f"{type(law).__name__} is not linear in gradient and differences, so it has no closed-loop matrix"
+        )
 
     matrix = np.zeros((players, n, players, n))
     for i in range(players):
@@ -123,9 +118,41 @@ def law_matrix(law: Law, game: Game, graph: Graph, theta: float = 1.0, dt: float
     return _restrict(matrix.reshape(players * n, -1), game)
 
 
+def _respond(
+    law: Law,
+    game: Game,
+    weights: FloatArray,
+    gradient: FloatArray,
+    relative: FloatArray,
+    error: FloatArray,
+    **times: Any,
+) -> FloatArray:
+    """Return the inputs (N, R, n) to R observations of each player, at the start unless ``times`` has other fields.
+
+    Weights (N, R, D), gradients (N, R, n), differences (N, R, D, n) and errors (N, R, n); each time has the shape (R,).
+    """
+    players, rows, n = error.shape
+    player = np.repeat(np.arange(players), rows)
+    blank = np.zeros((player.size, law.layout.size))
+    blank[:, law.layout.slices["player"]] = np.eye(players)[player]
+    observation = law.layout.read(blank)._replace(
+        gradient=gradient.reshape(-1, n),
+        relative_estimates=relative.reshape(player.size, -1, n),
+        weights=weights.reshape(player.size, -1),
+        own_estimate=error.reshape(-1, n) + game.nash_equilibrium,
+        **{
+            name: np.tile(np.broadcast_to(values, rows), players)[:, None]
+            for name, values in {"theta": 1.0, "dt": 1.0, **times}.items()
+        },
+    )
+    return law.inputs(observation, law.initial_memory(player.size))[0].reshape(players, rows, n)
+
+
 def _require_loop(law: Law) -> None:
     """Raise ``NoClosedLoopError`` for a law that reads or remembers more than a loop has."""
     name, unknown = type(law).__name__, sorted(set(law.needs) - {"own_estimate"})
+    if type(law).decide is not Law.decide:
+        raise NoClosedLoopError(f"{name} overrides decide; closed loops are of what Law.inputs returns")
     if unknown:
         raise NoClosedLoopError(
             f"{name} reads {', '.join(unknown)}; closed loops are of laws that act on gradient and differences alone"
@@ -183,7 +210,8 @@ def largest_stable_step(matrix: FloatArray) -> float | None:
 def gain_growth(transformation: TimeTransformation) -> float:
     """Return the p with which 1/λ'(s) grows like e^{p s}: 1 for the paper's λ, 2 for tanh, 0 for the rational λ.
 
-    An error that decays like e^{−r s} has a bounded velocity g(t) u when r ≥ p and a finite ∫‖g u‖² dt when r > p/2.
+    An error that decays like e^{−r s} has a velocity g(t) u that is bounded for r > p, also for r = p > 0 unless M has
+    Jordan blocks there, and unbounded for r < p; ∫‖g u‖² dt is finite for r > p/2.
     """
     near, middle, far = (-float(np.log(transformation.derivative(s))) for s in (75.0, 150.0, 300.0))
     # Slopes of a power of s halve when s doubles, and cancel here; those of an exponential function stay.
@@ -192,9 +220,14 @@ def gain_growth(transformation: TimeTransformation) -> float:
 
 def _restrict(matrix: FloatArray, game: Game) -> FloatArray:
     """Leave out the entries of M that do not move near x*: strategies that bounds hold there."""
-    own = game.owners == np.arange(game.num_players)[:, None]
-    free = ~(own & game.held_at_equilibrium[:, 0]).ravel()
+    free = _is_free(game)
     return matrix if free.all() else np.asarray(matrix[np.ix_(free, free)])
+
+
+def _is_free(game: Game) -> BoolArray:
+    """Return whether each entry of x moves near x*, shape (Nn,)."""
+    own = game.owners == np.arange(game.num_players)[:, None]
+    return ~(own & game.held_at_equilibrium[:, 0]).ravel()
 
 
 @dataclass(frozen=True)
@@ -250,26 +283,61 @@ def sampled_loop(world: World, law: Law) -> SampledLoop:
     """Return the loop of a law, built for the layout of the world; in a world of random games, on its typical game.
 
     Raises:
-        NoClosedLoopError: as :func:`law_matrix`, and for a law that reads the length of its step for more than to undo
-            the time gain.
+        NoClosedLoopError: as :func:`law_matrix`, and for a law whose gains depend on time, or that reads the length of
+            its step for more than to undo the time gain.
     """
     clock, topology = world.clock, world.topology
     matrices = tuple(law_matrix(law, world.game, graph) for graph in topology.graphs)
-    theta, dt = clock.theta[: clock.steps], clock.dt[: clock.steps]
-    # The first and the last step, a step that is longer in τ, and one that is longer in t.
-    lengths = [(theta[0], dt[0]), (theta[-1], dt[-1]), (2 * theta[0], dt[0]), (theta[0], 2 * dt[0])]
-    measured = [law_matrix(law, world.game, topology.union, *length) for length in lengths]
     instants = clock.topology_times[topology.clock][: clock.steps]
     modes = topology.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
-    if _is_constant(measured):
-        return SampledLoop(matrices, modes, theta, "effective")
-    if _is_constant([matrix * (tau / t) for matrix, (tau, t) in zip(measured, lengths, strict=True)]):
-        return SampledLoop(matrices, modes, dt, "physical")
-    raise NoClosedLoopError(f"{type(law).__name__} reads the length of its step, so it has another loop in every step")
+    loops = (
+        SampledLoop(matrices, modes, clock.theta[: clock.steps], "effective"),
+        SampledLoop(matrices, modes, clock.dt[: clock.steps], "physical"),
+    )
+    errors = np.random.default_rng(0).uniform(-_NEAR, _NEAR, (clock.steps, len(matrices[0])))
+    for loop in loops:
+        if follows(law, world, loop, errors):
+            return loop
+    is_timed = any(follows(law, world, loop, errors, stops_time=True) for loop in loops)
+    reason = "'s gains depend on time" if is_timed else " reads the length of its step"
+    raise NoClosedLoopError(f"{type(law).__name__}{reason}, so it has another loop in every step")
 
 
-def _is_constant(matrices: Sequence[FloatArray]) -> bool:
-    return bool(np.ptp(matrices, axis=0).max() <= 1e-9 * (1 + np.abs(matrices).max()))
+def follows(law: Law, world: World, loop: SampledLoop, errors: FloatArray, *, stops_time: bool = False) -> bool:
+    """Return whether the inputs of a law at some errors are those of its loop.
+
+    If they are at every error of ``loop.errors(start)``, the episode from this start is the loop, by induction.
+
+    Args:
+        law: the law.
+        world: the world.
+        loop: the loop.
+        errors: the error at the beginning of each of the first steps, shape (steps, Nn).
+        stops_time: whether the law is told t = s = 0 in every step.
+    """
+    clock, game, steps = world.clock, world.game, len(errors)
+    neighbours, own = np.array(law.layout.neighbours), game.owners == np.arange(game.num_players)[:, None]
+    adjacency = np.array([graph.adjacency for graph in world.topology.graphs])[
+        :, np.arange(len(own))[:, None], neighbours
+    ]
+    parts = steps * own.size * law.layout.slots // 2**22 + 1  # each of which fits in memory
+    for part in np.array_split(np.arange(steps), parts):
+        modes, error = loop.modes[part], np.zeros((part.size, own.size))
+        error[:, _is_free(game)] = errors[part]
+        error = error.reshape(-1, *own.shape).swapaxes(0, 1)
+        weights = adjacency[modes].swapaxes(0, 1)
+        relative = (error[neighbours] - error[:, None]).swapaxes(1, 2) * (weights > 0)[..., None]
+        gradient = np.where(own[:, None], error @ jacobian_at_equilibrium(game).T, 0.0)
+        times = {"theta": clock.theta[part], "dt": clock.dt[part]}
+        if not stops_time:
+            times |= {"elapsed": clock.t[part] / clock.deadline, "transformed": clock.s[part]}
+        inputs = _respond(law, game, weights, gradient, relative, error, **times).swapaxes(0, 1)
+        moves = np.einsum("kij,kj->ki", np.array(loop.matrices)[modes], errors[part]) * loop.steps[part, None]
+        off = inputs.reshape(part.size, -1)[:, _is_free(game)] + moves / clock.theta[part, None]
+        sizes = np.abs(errors[part]).max(axis=1, keepdims=True) * (loop.steps / clock.theta[: clock.steps]).max()
+        if not np.all(np.abs(off) <= 1e-9 * np.abs(loop.matrices).max() * sizes):
+            return False
+    return True
 
 
 def distance(errors: FloatArray, game: Game) -> FloatArray:

@@ -214,7 +214,10 @@ class World:
             yield f"the last step ends {short} of T short of the deadline; raise s_end to come closer"
         slope, deadline = float(self.clock.transformation.derivative(0.0)), self.clock.deadline
         if abs(slope - deadline) > 1e-9 * deadline:
-            yield f"λ'(0) = {slope:.4g} is not T = {deadline:g}, {needed}"
+            start = (
+                "so the gain starts at c + 1/λ'(0); the loop in τ = s + c t, and what is proven of it, stay the same"
+            )
+            yield f"λ'(0) = {slope:.4g} is not T = {deadline:g}, as Lemma 1 of the paper asks, {start}"
         if self.game.is_affine and not self.has_random_game:  # families declare it, and samples decide elsewhere
             jacobian = self.game.jacobian(np.zeros((self.game.dimension, 1)))[..., 0]
             smallest = float(np.linalg.eigvalsh((jacobian + jacobian.T) / 2)[0])

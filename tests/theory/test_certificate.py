@@ -10,7 +10,7 @@ import fuzz
 import numpy as np
 import pytest
 from affine_games import SOAK, affine_scenario, random_affine
-from sample_laws import Damped, Sign, condition_on
+from sample_laws import Damped, DeadZone, Gated, Late, Rewritten, Saturating, Sign, condition_on
 from worlds import fixed_part, world_and_encoder
 
 from ptne_env import CATALOGUE, FactorySpec, Interface, get_scenario, laws, theory
@@ -135,6 +135,19 @@ def test_a_law_in_scaled_units_has_no_exact_digits():
     assert any("acts through 'scaled'" in note for note in certificate.notes)
 
 
+def test_digits_of_a_law_that_saturates_on_the_way_are_not_exact():
+    """Near x* it is the static law, and so it is from a start near x*."""
+    scenario = get_scenario("energy", start="paper")
+    static, saturating = theory.certify(scenario), theory.certify(scenario, Saturating)
+    assert (saturating.rate, saturating.digits) == (static.rate, static.digits)
+    assert abs(played_digits(scenario, Saturating, 0) - saturating.digits) > 0.01
+    assert not saturating.digits_are_exact
+    assert any("not linear for errors of the size of the start" in note for note in saturating.notes)
+    near = World(scenario).game.nash_equilibrium + 0.1 * np.eye(5)
+    close = scenario.replace(start=FactorySpec.of("start:fixed", estimates=near))
+    assert theory.certify(close, Saturating).digits_are_exact
+
+
 @pytest.mark.parametrize(("factor", "grows"), [(0.97, False), (1.4, True)])
 def test_the_largest_stable_step_separates_settling_from_growth_in_episodes(factor, grows):
     scenario = get_scenario("energy", start="paper", input_limit=1e30)
@@ -153,7 +166,17 @@ def test_the_rate_is_that_of_late_errors():
     assert (late.digits - early.digits) * math.log(10) / 10 == pytest.approx(late.rate, rel=0.02)
 
 
-@pytest.mark.parametrize(("law", "phrase"), [(Sign, "not linear"), (Damped, "reads the length of its step")])
+@pytest.mark.parametrize(
+    ("law", "phrase"),
+    [
+        (Sign, "not linear"),
+        (DeadZone, "not linear"),
+        (Damped, "reads the length of its step"),
+        (Late, "Late's gains depend on time, so it has another loop in every step"),
+        (Gated, "Gated's gains depend on time"),
+        (Rewritten, "overrides decide"),
+    ],
+)
 def test_a_law_without_a_closed_loop_gets_no_numbers_of_one(law, phrase):
     certificate = theory.certify(get_scenario("energy"), law)
     assert phrase in certificate.notes[0]

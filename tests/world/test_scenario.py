@@ -124,8 +124,15 @@ class Slow(Exponential):
 
 
 def test_a_transformation_that_starts_with_another_slope_is_a_warning():
-    with pytest.warns(UserWarning, match=r"λ'\(0\) = 0\.6 is not T = 1\.2, which .* 'ptne certify' checks"):
-        World(get_scenario("energy", transformation=Slow, s_end=16.0, spacing="transformed"))
+    """In τ nothing else changes: episodes that end at the same τ are the same."""
+    default = get_scenario("energy", steps=20, s_end=12.0)
+    effective_time = World(default).clock.effective_time
+    s_end = float(Slow(1.2).from_effective_time(np.array(effective_time), default.gain))
+    with pytest.warns(UserWarning, match=r"λ'\(0\) = 0\.6 is not T = 1\.2, .* the loop in τ = s \+ c t, .* the same"):
+        slow = World(default.replace(transformation=Slow, s_end=s_end))
+    assert slow.clock.effective_time == pytest.approx(effective_time)
+    assert slow.clock.theta == pytest.approx(World(default).clock.theta)
+    assert slow.clock.transformation.gain(0.0, 20.0) == pytest.approx(20 + 2 / 1.2)
 
 
 def test_an_object_that_is_no_topology_is_refused_and_the_message_names_matrices_and_graphs():
