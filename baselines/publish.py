@@ -26,13 +26,14 @@ from baselines.published import (
     Row,
     documents,
     fill_tables,
+    interval_of,
     read,
+    write_rows,
 )
 from ptne_env import CATALOGUE, evaluate
 from ptne_env.evaluation import CODED, COMPARED, ENTERED, POLICIES, Results
 from ptne_env.evaluation.comparison import LAW
-from ptne_env.evaluation.results import SHOWN, Record
-from ptne_env.evaluation.statistics import Summary
+from ptne_env.evaluation.results import SHOWN
 from ptne_env.execution import Runner, Workers
 from ptne_env.shared.files import write_atomically
 from ptne_env.suites import leaderboard, run_suite
@@ -40,15 +41,6 @@ from ptne_env.suites.robustness import robustness
 
 METRICS = (*SHOWN, "settling_time", "settled_share", "diverged_share")
 """The metrics in the file."""
-
-INTERVAL = ("mean", "low", "high")
-COLUMNS = ("suite", "track", "policy", "metric", *INTERVAL, "episodes")
-
-
-def interval_of(summary: Summary | Record) -> Row:
-    """The columns of a mean; empty ends where it has no interval."""
-    numbers = summary if isinstance(summary, dict) else vars(summary)
-    return {key: "" if numbers[key] is None else f"{numbers[key]:.7g}" for key in INTERVAL}
 
 
 def differences_of(results: Results, label: str, tracks: Sequence[str]) -> Iterable[Row]:
@@ -115,9 +107,8 @@ def run(out: Path, episodes: int | None, workers: Workers) -> Path:
     rows = [row for results in (compared, suite) for row in rows_of(results)]
     edges = run_suite(edge_cases.SUITE, entered, episodes=episodes, run=runner)
     rows += [row for results in (*worlds, edges) for row in rows_of_worlds(results)]
-    lines = [COLUMNS, *([row.get(key, "") for key in COLUMNS] for row in rows)]
     path = RESULTS if episodes is None else out / RESULTS.name
-    write_atomically(path, "".join(f"{','.join(line)}\n" for line in lines))
+    write_rows(path, rows)
     write_atomically(out / "results.json", suite.to_json())
     return path
 

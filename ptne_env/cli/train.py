@@ -8,7 +8,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-import numpy as np
 import typer
 
 from ptne_env import training
@@ -151,10 +150,9 @@ def _say_result(policy: Path, summary: RunSummary, trainer: training.Trainer, *,
     if was_finished:
         say(f"This run has ended before, with {digits}; {policy.name} is in {policy.parent}")
         return
-    from ptne_env.training.curve import FLAT, read_learning_curve
+    from ptne_env.training.curve import FLAT, last_gain
 
-    steps, curve = read_learning_curve(policy.parent)
-    gained = curve[-1] - np.interp(0.8 * steps[-1], steps, curve)
+    gained = last_gain(policy.parent)
     flat = "" if gained < FLAT else ": more --steps gain more"
     say(f"{digits}, after {summary.seconds:.0f} s; {policy.name} written to {policy.parent}")
     say(f"The last fifth of the training gained {gained:.2f} digits{flat}")

@@ -149,7 +149,7 @@ def run_network(
     """
     xp = array_namespace(seen.gradient)
     watched = Seen(*map(without_gradient, seen))
-    held, largest = _find_walls(watched, memory), _update_largest(watched, memory)
+    held, largest = _estimate_walls(watched, memory), _estimate_magnitudes(watched, memory)
     is_given = (without_gradient(weights["knows_costs"]) > 0) | (largest.min(0) == 0)
     unit = xp.where(is_given, 1, largest[0] / xp.where(largest[1] > 0, largest[1], 1)).astype(np.float32)
     scale, nearest, slots, messages, components, players = _compute_features(layout, watched, memory, held, unit)
@@ -207,8 +207,8 @@ def run_network(
     return inputs, after, gates
 
 
-def _find_walls(seen: Seen, memory: PlayerMemory) -> Any:
-    """Return 1 where a wall of the box held the own strategy, so that less than half of the last move took place."""
+def _estimate_walls(seen: Seen, memory: PlayerMemory) -> Any:
+    """Estimate by hand where a wall of the box holds the own strategy: less than half of the last move took place."""
     xp = array_namespace(seen.gradient)
     moved, came = memory["moved"] * seen.own, seen.strategy - memory["strategy"]
     is_visible = xp.abs(moved) > 1e-6 * (xp.abs(seen.strategy) + 1e-6)  # in float32; else as before
@@ -216,8 +216,8 @@ def _find_walls(seen: Seen, memory: PlayerMemory) -> Any:
     return xp.where(is_visible, held, memory["held"]).astype(np.float32) * memory["started"]
 
 
-def _update_largest(seen: Seen, memory: PlayerMemory) -> Any:
-    """Return the largest difference to a neighbour and the largest gradient so far, (2, M).
+def _estimate_magnitudes(seen: Seen, memory: PlayerMemory) -> Any:
+    """Estimate by hand the units of the world: the largest difference to a neighbour and gradient so far, (2, M).
 
     Before there is any difference, the own strategy stands for it.
     """

@@ -36,6 +36,12 @@ def read_learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
         raise ValueError(f"{path} is no learning curve: it is damaged or something else ({error})") from error
 
 
+def last_gain(folder: Path) -> float:
+    """Return the digits that the last fifth of a run gained; it is flat where that is below :data:`FLAT`."""
+    steps, digits = read_learning_curve(folder)
+    return float(digits[-1] - np.interp(0.8 * steps[-1], steps, digits))
+
+
 def write_learning_curve(folder: Path, steps: Any, results: Any) -> None:
     """Write the agent-steps of evaluations and their results, one row each, as Stable-Baselines3 does."""
     buffer = io.BytesIO()

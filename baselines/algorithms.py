@@ -1,0 +1,183 @@
+"""The algorithms of reinforcement learning, trained on every track: ``python -m baselines.algorithms COMMAND``.
+
+    tune [ALGORITHM]...     20 settings of each algorithm, for 5 M agent-steps on two tracks, beside the defaults
+    train [ALGORITHM]...    the defaults with five seeds on every track of ptne-v1, for 20 M agent-steps, and for 50 M
+                            where the last fifth of those gained 0.05 digits or more in the mean over seeds
+    table                   play what was trained on the test episodes, and write ``algorithms.csv``
+    ship                    replace the shipped files by the seeds with the most digits on validation episodes
+
+Every run has a folder in ``--out``, and one core; a run that has ended is not repeated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from statistics import fmean
+from time import process_time
+
+import numpy as np
+from joblib import Parallel, delayed
+from scipy.stats import qmc
+
+from baselines.published import ALGORITHMS_CSV, interval_of, write_rows
+from ptne_env import learn
+from ptne_env.evaluation import evaluate, get_policy_spec
+from ptne_env.execution import Runner, Workers
+from ptne_env.suites import get_suite
+from ptne_env.training import TRAINERS
+from ptne_env.training.configuration import POLICY, Configuration
+from ptne_env.training.curve import FLAT, last_gain
+
+ALGORITHMS = tuple(name for name, trainer in TRAINERS.items() if trainer.module == "jax_ppo")
+TRACKS = tuple(track.name for track in get_suite("ptne-v1").tracks)
+TUNED_ON = ("switching-transformed", "curved")
+"""The tracks on whose validation episodes settings are chosen: noisy links that come and go, and curvature."""
+
+TRIALS, TRIAL_STEPS = 20, 5_000_000
+SEEDS = range(5)
+BUDGETS = 20_000_000, 50_000_000
+"""The agent-steps of a run, and of one on a track where those do not suffice."""
+
+
+def candidates() -> list[dict[str, float]]:
+    """The settings that are tried beside the defaults: a Latin hypercube, the same for every algorithm."""
+    rate, horizon, log_std, batches, epochs = qmc.LatinHypercube(5, rng=0).random(TRIALS).T
+    return [
+        {
+            "learning_rate": float(f"{10 ** (-3.3 + 1.3 * rate[i]):.2g}"),
+            "discount": round(float(1 - 1 / 2 ** (1 + 3 * horizon[i])), 3),
+            "log_std": round(float(-2.5 + 1.5 * log_std[i]), 1),
+            "minibatches": int(2 ** (3 + int(4 * batches[i]))),
+            "epochs": 1 + int(3 * epochs[i]),
+        }
+        for i in range(TRIALS)
+    ]
+
+
+def train_one(track: str, algorithm: str, out: Path, **settings: float) -> float:
+    """Train in this process, write down the seconds of its core, and return the digits on validation episodes."""
+    began, record = process_time(), out / "core-seconds.json"
+    configuration = Configuration(f"ptne-v1/{track}", algorithm, **settings)  # type: ignore[arg-type]  # by name
+    digits = float(TRAINERS[algorithm].load().train(configuration, out).digits)
+    if not record.exists():
+        record.write_text(json.dumps(process_time() - began))
+    print(f"{out}: {digits:.2f} digits, {json.loads(record.read_text()):.0f} s", flush=True)
+    return digits
+
+
+def train_all(runs: Sequence[tuple[str, str, Path, dict[str, float]]], jobs: int) -> list[float]:
+    """Train with each track, algorithm, folder and settings, on a core each."""
+    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    return list(
+        Parallel(jobs, batch_size=1)(
+            delayed(train_one)(track, algorithm, out, **settings) for track, algorithm, out, settings in runs
+        )
+    )
+
+
+def tune(algorithm: str, out: Path, jobs: int) -> None:
+    """Try the settings of an algorithm, and print them and their digits, the best first."""
+    trials = [{}, *candidates()]
+    runs = [
+        (track, algorithm, out / "tune" / algorithm / track / str(index), {"steps": TRIAL_STEPS, **trial})
+        for index, trial in enumerate(trials)
+        for track in TUNED_ON
+    ]
+    digits = np.reshape(train_all(runs, jobs), (-1, len(TUNED_ON)))
+    for index in np.argsort(-digits.mean(axis=1)):
+        print(f"{algorithm} {digits[index].mean():.2f}", digits[index].round(2), trials[index] or "defaults")
+
+
+def folder_of(algorithm: str, track: str, steps: int, out: Path) -> Path:
+    """The folder of all seeds of an algorithm on a track."""
+    return out / algorithm / track / f"{steps // 1_000_000}M"
+
+
+def is_trained(folder: Path) -> bool:
+    """Whether all seeds in a folder have ended."""
+    return all((folder / f"seed-{seed}" / "summary.json").exists() for seed in SEEDS)
+
+
+def gain(folder: Path) -> float:
+    """The digits that the last fifth of the runs in a folder gained, as the mean over seeds."""
+    return fmean(last_gain(run) for run in sorted(folder.glob("seed-*")))
+
+
+def train(algorithms: Sequence[str], out: Path, jobs: int) -> None:
+    """Train the seeds of algorithms on all tracks, longer where they are not flat."""
+    for steps, longer in zip(BUDGETS, (False, True), strict=True):
+        runs = [
+            (track, algorithm, folder_of(algorithm, track, steps, out) / f"seed-{seed}", {"steps": steps, "seed": seed})
+            for seed in SEEDS
+            for algorithm in algorithms
+            for track in TRACKS
+            if not longer or gain(folder_of(algorithm, track, BUDGETS[0], out)) >= FLAT
+        ]
+        train_all(runs, jobs)
+
+
+def trained(out: Path) -> Iterator[tuple[str, str, Path]]:
+    """The tracks and algorithms whose seeds have all ended, and the folder of the longest training."""
+    for track in TRACKS:
+        for algorithm in ALGORITHMS:
+            folders = [folder_of(algorithm, track, steps, out) for steps in reversed(BUDGETS)]
+            yield from ((track, algorithm, folder) for folder in [*filter(is_trained, folders)][:1])
+
+
+def table(out: Path) -> None:
+    """Play all that was trained on test episodes, and write its rows."""
+    rows, runner = [], Runner(out / "jobs", Workers(-1))
+    for track, algorithm, folder in trained(out):
+        spec = get_policy_spec(f"{algorithm}={folder}/seed-*/{POLICY}")
+        results = evaluate([spec], f"ptne-v1/{track}", run=runner)
+        spread = results.samples[track, algorithm]["digits"].mean(axis=1).std(ddof=1)
+        seconds = [json.loads((run / "core-seconds.json").read_text()) for run in folder.glob("seed-*")]
+        summaries = [json.loads((run / "summary.json").read_text()) for run in folder.glob("seed-*")]
+        numbers = {
+            "spread": spread,
+            "seeds": len(summaries),
+            "agent_steps": summaries[0]["agent_steps"],
+            "core_minutes": fmean(seconds) / 60,
+            "last_gain": gain(folder),
+        }
+        common = {"suite": "algorithms", "track": track, "policy": algorithm}
+        rows.append(common | {"metric": "digits"} | interval_of(results.record(track, algorithm, "digits")))
+        rows += [common | {"metric": metric, "mean": f"{number:.7g}"} for metric, number in numbers.items()]
+        print(track, algorithm, rows[-6]["mean"], numbers, flush=True)
+    write_rows(ALGORITHMS_CSV, rows)
+
+
+def ship(out: Path) -> None:
+    """Replace the shipped files of ``ippo`` by the best seeds on validation episodes."""
+    for track, algorithm, folder in trained(out):
+        if algorithm == "ippo":
+            digits = {run: json.loads((run / "summary.json").read_text())["digits"] for run in folder.glob("seed-*")}
+            best = max(digits, key=digits.__getitem__)
+            shutil.copyfile(best / POLICY, Path(learn.__file__).parent / f"{algorithm}-{track}.npz")
+            print(f"{algorithm}-{track}: {best.name}, {digits[best]:.2f} digits")
+
+
+def main() -> None:
+    """Tune, train, play or ship."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("command", choices=["tune", "train", "table", "ship"])
+    parser.add_argument("algorithms", nargs="*", default=ALGORITHMS, metavar="ALGORITHM")
+    parser.add_argument("--out", type=Path, default=Path("runs"))
+    parser.add_argument("--jobs", type=int, default=-1)
+    arguments = parser.parse_args()
+    if arguments.command == "tune":
+        for algorithm in arguments.algorithms:
+            tune(algorithm, arguments.out, arguments.jobs)
+    elif arguments.command == "train":
+        train(arguments.algorithms, arguments.out, arguments.jobs)
+    else:
+        (table if arguments.command == "table" else ship)(arguments.out)
+
+
+if __name__ == "__main__":
+    main()
