@@ -32,7 +32,7 @@ def train(
         str,
         typer.Argument(
             help="A shipped configuration by name (such as random-energy), or a .toml file; or a scenario or track "
-            "(such as robots or ptne-v1/noise) for the default settings.",
+            "(such as robots or ptne-v1/rounding) for the default settings.",
             autocompletion=training.configurations,
         ),
     ],
@@ -146,7 +146,7 @@ def _train(runs: Mapping[Path, Run], trainer: training.Trainer) -> dict[Path, Ru
 
 
 def _say_result(policy: Path, summary: RunSummary, trainer: training.Trainer, *, was_finished: bool) -> None:
-    digits = f"{summary.digits:.2f} digits on the {trainer.episodes} episodes"
+    digits = f"{summary.digits:.2f} digits on {trainer.episodes}"
     if was_finished:
         say(f"This run has ended before, with {digits}; {policy.name} is in {policy.parent}")
         return

@@ -137,8 +137,8 @@ class Relay(RecordLaw):
        d is the curvature (|d| plus three standard deviations where it is not certainly positive), S the largest row sum
        of Σ_{j≠i} |G_ij|, e the *share* of the damping, and T the *delay*: the step in which the last component had its
        first source, from 2 to 4 N. On a fixed graph that is the distance of the farthest player, and m − 1 steps. Where
-       S ≤ d best responses contract in the maximum norm whatever the delays, D is G_ii, and l = 1. In games that rotate
-       they would not; D damps them, and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go
+       S < d best responses contract in the maximum norm whatever the delays; up to S = d, D is G_ii and l = 1. In games
+       that rotate they may expand; D damps them, and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go
        on. A component at a bound, which did not move when it was asked to, counts as fixed for the others. No component
        of the response is larger than the trust region of the model.
     6. *Damping.* The damping that suffices for games that rotate is too much for others. So the *share* e, which starts

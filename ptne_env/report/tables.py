@@ -163,18 +163,28 @@ def answer(results: Results) -> tuple[str, ...]:
     elif len(firsts) == 1:
         sentences.append(f"{ranked[0]} was compared with no other policy; --policy names others.")
     else:
-        where = f" on {tracks[0]}"
+        best, *rest = ranked
+        where = f"on average over {len(tracks)} {noun}s" if len(tracks) > 1 else f"on {tracks[0]}"
+        whole = [name for name in rest if _list_tracks(results, name) == _list_tracks(results, best)]
+        equal = [name for name in whole if not _leads(results, best, name)]
+        come = "cannot be told apart: they come closest" if equal else "comes closest"
+        sentences.append(f"{join_words([best, *equal])} {come} to the Nash equilibrium by the deadline {where}.")
+        others = [name for name in rest if (name == LAW or name in own) and name not in equal]
+        sentences += [_compare(results, best, other, noun) for other in others]
         if len(tracks) > 1:
-            where = f", or no other policy leads there, on {len(firsts[ranked[0]])} of {len(tracks)} {noun}s"
-        equal = [name for name in ranked if firsts[name] == firsts[ranked[0]]]
-        come = "comes closest" if len(equal) == 1 else "cannot be told apart: they come closest"
-        sentences.append(f"{join_words(equal)} {come} to the Nash equilibrium by the deadline{where}.")
-        others = [name for name in ranked if (name == LAW or name in own) and name not in equal]
-        sentences += [_compare(results, ranked[0], other, noun) for other in others]
+            counts = sorted(((name, len(firsts[name])) for name in ranked), key=lambda item: -item[1])[:3]
+            shares = [f"{name} on {count} of {len(tracks)}" for name, count in counts if count]
+            sentences.append(f"On single {noun}s, no policy leads {join_words(shares)}.")
     for name in own:
         if missing := [track for track, policy in results.reasons if policy == name]:
             sentences.append(f"{name} has no result on {join_words(missing, most=3)}, for the reason below the table.")
     return tuple(sentences)
+
+
+def _leads(results: Results, best: str, other: str) -> bool:
+    """Return whether a policy with more digits leads another one on average over its tracks; one episode decides."""
+    lead = results.difference(best, other, _list_tracks(results, best))
+    return lead.low is None or lead.low > 0
 
 
 def _compare(results: Results, best: str, other: str, noun: str) -> str:

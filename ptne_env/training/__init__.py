@@ -19,7 +19,7 @@ class Trainer(NamedTuple):
         module: the module of this package that trains.
         extra: the extra that it needs.
         unit: what its runs are counted in.
-        episodes: those of which its summaries have the digits.
+        episodes: those whose mean digits its summaries have.
         metric: the metric of its learning curves.
         resumes_exactly: whether a resumed run ends as if it had not been interrupted.
     """
@@ -27,7 +27,7 @@ class Trainer(NamedTuple):
     module: str
     extra: str
     unit: str = "agent-steps"
-    episodes: str = "validation"
+    episodes: str = "200 validation episodes"
     metric: str = "digits"
     resumes_exactly: bool = False
 
@@ -42,7 +42,7 @@ class Trainer(NamedTuple):
 TRAINERS = {
     **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), Trainer("jax_ppo", "jax", resumes_exactly=True)),
     "sb3-ppo": Trainer("ppo", "sb3", metric="digits_gained"),
-    "through-world": Trainer("through_world", "jax", unit="updates", episodes="last"),
+    "through-world": Trainer("through_world", "jax", unit="updates", episodes="the last episodes"),
 }
 """The algorithms, and what trains with each."""
 

@@ -50,7 +50,7 @@ def write_learning_curve(folder: Path, steps: Any, results: Any) -> None:
 
 
 VALIDATION_EPISODES = 200
-"""The episodes on which an exported policy is validated."""
+"""The episodes on which an exported policy is validated, as ``Trainer.episodes`` says."""
 
 
 def finish(out: Path, content: bytes, world: Scenario | Track, steps: int, resumed_at: int, began: float) -> RunSummary:
