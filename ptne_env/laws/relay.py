@@ -138,9 +138,9 @@ class Relay(RecordLaw):
        of Σ_{j≠i} |G_ij|, e the *share* of the damping, and T the *delay*: the step in which the last component had its
        first source, from 2 to 4 N. On a fixed graph that is the distance of the farthest player, and m − 1 steps. Where
        S < d best responses contract in the maximum norm whatever the delays; up to S = d, D is G_ii and l = 1. In games
-       that rotate they may expand; D damps them, and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go
-       on. A component at a bound, which did not move when it was asked to, counts as fixed for the others. No component
-       of the response is larger than the trust region of the model.
+       that rotate they may expand; D damps them, and l, the least of T + ½ and the eigenvalues of D over S, expects the
+       copies to go on. A component at a bound, which did not move when it was asked to, counts as fixed for the others.
+       No component of the response is larger than the trust region of the model.
     6. *Damping.* The damping that suffices for games that rotate is too much for others. So the *share* e, which starts
        at 1, falls where responses creep in one direction, and rises where they turn back: e ← e exp((0.6 − |v|)/(2 T)),
        within [1/8, 1], where v ← v + (Δx_i/|Δx_i| − v)/(3 T) is the mean direction, in the maximum norm. Steps that the
