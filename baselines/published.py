@@ -359,7 +359,7 @@ def documents() -> list[Path]:
 def read(path: Path = RESULTS) -> Published:
     """The published numbers."""
     rows: list[Row] = []
-    for each in (path, ALGORITHMS_CSV):
+    for each in filter(Path.exists, (path, ALGORITHMS_CSV)):
         with each.open(encoding="utf-8", newline="") as file:
             rows += csv.DictReader(file)
     return Published(rows)

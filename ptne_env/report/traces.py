@@ -49,7 +49,10 @@ def make_scene(track: Track, episodes: EpisodeSet, policies: Iterable[PolicySpec
     clock, equilibrium = world.clock, start.game.nash_equilibria[:, 0]
     starts = np.concatenate([equilibrium, *(run.strategies[0, :, 0] for run in runs.values())])
     decimals = 2 - int(np.floor(np.log10(np.ptp(starts) or 1.0)))
-    links = np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2)
+    links, hears = (
+        np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2),
+        world.topology.union.adjacency > 0,
+    )
     randomness = start.randomness
     modes = world.modes if randomness is None or randomness.modes is None else randomness.modes[:, 0]
     both_ways = [graph.adjacency + graph.adjacency.T for graph in world.topology.graphs]
@@ -63,7 +66,8 @@ def make_scene(track: Track, episodes: EpisodeSet, policies: Iterable[PolicySpec
         "players": world.game.num_players,
         "owners": world.game.owners.tolist(),
         "equilibrium": equilibrium.round(6).tolist(),
-        "links": links.tolist(),
+        # From a sender to a receiver, and whether that is the only way.
+        "links": [[*((j, i) if hears[i, j] else (i, j)), int(hears[i, j] != hears[j, i])] for i, j in links.tolist()],
         "live": [[int(frame), np.flatnonzero(live[frame]).tolist()] for frame in switches],
         "traces": {},
     }

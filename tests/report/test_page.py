@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from ptne_env import get_scenario, record
+from ptne_env import FactorySpec, get_scenario, record
 from ptne_env.evaluation import EpisodeSet, Track, get_policy_spec
 from ptne_env.evaluation.metrics import number
 from ptne_env.report.page import Page, Section, results_page
@@ -121,8 +121,19 @@ def test_the_player_has_every_step_of_the_first_episode():
     assert shown["inputs"][0][-1] is None  # none is held after the last instant
     for frame, weights in enumerate(run.weights[..., 0]):
         live = [links for start, links in drawn["live"] if start <= frame][-1]
-        assert {tuple(drawn["links"][link]) for link in live} == {(i, j) for i, j in run.links[weights > 0] if i < j}
+        assert {tuple(sorted(drawn["links"][link][:2])) for link in live} == {
+            (i, j) for i, j in run.links[weights > 0] if i < j
+        }
     assert len(drawn["live"]) > 1  # the graph switches
+
+
+def test_links_of_one_way_point_from_the_sender_to_the_receiver():
+    hears = np.array([[0, 1, 1], [1, 0, 0], [0, 1, 0]])  # player 0 hears 1 and 2, which hears 1
+    game = FactorySpec.of("game:random-energy", players=3)
+    track = Track("one-way", get_scenario("random-energy", steps=50, game=game, topology=hears), "")
+    scene = make_scene(track, EpisodeSet(1), [get_policy_spec("static")])
+    drawn = json.loads(unpacked(Outline(Page("", (), scenes={"one": scene}).to_html()), "scene-0"))
+    assert drawn["links"] == [[1, 0, 0], [2, 0, 1], [1, 2, 1]]
 
 
 def luminance(colour):

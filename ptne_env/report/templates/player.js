@@ -132,7 +132,7 @@ function inputChart(scene, name) {
   return lineChart(scene, lines, options);
 }
 
-/** The players on a circle, clockwise from the top, and the links between them. */
+/** The players on a circle, clockwise from the top, and the links between them, with arrows where they have one way. */
 function network(scene) {
   const isCrowded = scene.players > 20, radius = isCrowded ? 3 : 10;
   const svg = drawn("svg", { viewBox: `0 0 ${WIDTH} 180`, role: "img", "aria-label": "Communication graph" });
@@ -140,9 +140,13 @@ function network(scene) {
     const angle = 2 * Math.PI * player / scene.players;
     return [WIDTH / 2 + 70 * Math.sin(angle), 90 - 70 * Math.cos(angle)];
   });
-  const lines = scene.links.map(([one, other]) => {
-    const [[x1, y1], [x2, y2]] = [places[one], places[other]];
-    return svg.appendChild(drawn("line", { x1, y1, x2, y2 }));
+  const marker = drawn("marker", { id: "arrow", refX: 4, refY: 4, markerWidth: 8, markerHeight: 8, orient: "auto" });
+  marker.append(drawn("path", { d: "M0,0 L8,4 L0,8 z" }));
+  svg.append(marker);
+  const lines = scene.links.map(([sender, receiver, isOneWay]) => {
+    const [[x1, y1], [x2, y2]] = [places[sender], places[receiver]];
+    const points = `${x1},${y1} ${(x1 + x2) / 2},${(y1 + y2) / 2} ${x2},${y2}`;
+    return svg.appendChild(drawn("polyline", { points, "marker-mid": isOneWay ? "url(#arrow)" : "none" }));
   });
   places.forEach(([cx, cy], player) => {
     svg.append(drawn("circle", { class: "node", cx, cy, r: radius, stroke: colourOf(player) }));
