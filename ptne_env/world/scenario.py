@@ -83,8 +83,8 @@ class Scenario:
             with dwell times in seconds, ``[(ring, 0.1), (star, 0.2)]``, which take turns.
         start: builds a :class:`~ptne_env.world.starts.Start`; ``"paper"`` or ``"random"`` (every estimate U(−20, 20));
             also an array (N, n), row i being x^i(0).
-        transformation: builds λ from ``deadline``; ``"exponential"`` (paper), ``"rational"`` or ``"tanh"``; an object
-            has the deadline of the scenario.
+        transformation: builds a :class:`~ptne_env.world.clock.TimeTransformation` from ``deadline``; ``"exponential"``
+            (paper), ``"rational"`` or ``"tanh"``; an object must have the deadline of the scenario.
         deadline: T in seconds.
         gain: c in 1/s, the constant part of the prescribed-time gain.
         steps: K, steps to the deadline.
@@ -100,7 +100,8 @@ class Scenario:
             range if ``None``.
 
     Raises:
-        ValueError: when the name is no string, or a part is named in none of the ways above.
+        ValueError: when the name is no string, a part is named in none of the ways above, or the transformation has
+            another deadline.
     """
 
     name: str
@@ -134,13 +135,11 @@ class Scenario:
         object.__setattr__(self, "transformation", FactorySpec.of(self.transformation.target, **arguments))
 
     def replace(self, **changes: Any) -> Scenario:
-        """Return a copy with some fields changed; an object as ``transformation`` brings its deadline along.
+        """Return a copy with some fields changed.
 
         Raises:
-            ValueError: when a key is not a field, naming the fields.
+            ValueError: when a key is not a field, naming the fields, or as for a new scenario.
         """
-        if isinstance(transformation := changes.get("transformation"), Part):
-            changes = {"deadline": getattr(transformation, "deadline", self.deadline), **changes}
         known = [field.name for field in dataclasses.fields(self)]
         for name in changes:
             require_name("scenario field", name, known)

@@ -171,7 +171,13 @@ class World:
         )
 
     def _build(self, spec: FactorySpec, *kinds: type[Any], **extra: Any) -> Any:
-        part = spec.build(**extra)
+        try:
+            part = spec.build(**extra)
+        except ValueError as error:
+            if kinds == (TimeTransformation,) and isinstance(error.__cause__, TypeError):
+                advice = "subclass TimeTransformation with time, derivative and inverse (docs/adding-parts.md)"
+                raise ValueError(f"{error}; {advice}") from error
+            raise
         if not isinstance(part, kinds):
             wanted = " or ".join(kind.__name__ for kind in kinds)
             raise ValueError(

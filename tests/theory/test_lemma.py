@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from worlds import world_and_encoder
 
-from ptne_env.theory import LemmaViolationError, check_time_transformation
+from ptne_env.theory import (
+    LemmaViolationError,
+    check_assumptions,
+    check_time_transformation,
+    monotonicity_constants,
+)
 from ptne_env.world.clock import Exponential, HyperbolicTangent, Rational
 
 
@@ -69,6 +75,21 @@ def test_formula_that_overflows_far_out_satisfies_the_lemma():
         "inverse": lambda t: np.arctanh(np.asarray(t) / 2),
     }
     assert abs(check_time_transformation(broken(**formulas))) < 1e-4
+
+
+def test_a_limit_that_comes_slower_than_numbers_show_is_a_doubt():
+    formulas = {
+        "time": lambda s: 2 - 2 / (1 + np.log1p(s)),
+        "derivative": lambda s: 2 / (1 + s) / (1 + np.log1p(s)) ** 2,
+        "inverse": lambda t: np.expm1(t / (2 - t)),
+    }
+    with pytest.warns(UserWarning, match=r"T − λ\(s\) is still 0\.135 s at s = 1e\+06: λ satisfies Lemma 1 only if"):
+        assert check_time_transformation(broken(**formulas)) == pytest.approx(1 / (1 + np.log1p(1e6)))
+    world, _ = world_and_encoder("energy")
+    world.clock.__dict__["transformation"] = broken(**formulas)
+    with pytest.warns(UserWarning, match="is still"):
+        check = check_assumptions(world, monotonicity_constants(world.game))[0]
+    assert check.verdict == "sampled only"
 
 
 @pytest.mark.parametrize("name", BROKEN)

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from worlds import FROM_THE_PAPER
 
-from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario
+from ptne_env import CATALOGUE, FactorySpec, Scenario, get_scenario, record
 from ptne_env.games import EnergyGame, NonQuadraticGame, QuadraticGame
-from ptne_env.world.clock import Exponential, HyperbolicTangent
+from ptne_env.world.clock import HyperbolicTangent, TimeTransformation
 from ptne_env.world.graphs import Graph, complete, cycle
 from ptne_env.world.switching import SwitchingTopology, paper_topology
 from ptne_env.world.world import World
@@ -102,37 +102,51 @@ def test_graphs_that_take_turns_are_pairs_with_dwell_times():
             get_scenario("energy", topology=graphs)
 
 
-def test_an_object_is_a_transformation_and_brings_its_deadline_along():
+def test_an_object_as_transformation_has_the_deadline_of_the_scenario():
     named = get_scenario("energy", transformation="tanh", deadline=2.0)
-    assert get_scenario("energy", transformation=HyperbolicTangent(2.0)) == named
+    assert get_scenario("energy", transformation=HyperbolicTangent(2.0), deadline=2.0) == named
     assert Scenario.from_dict(named.to_dict()) == named
-    with pytest.raises(ValueError, match=r"has the deadline 2\.0 and the scenario 3\.0: say deadline=2\.0, too"):
-        get_scenario("energy", transformation=HyperbolicTangent(2.0), deadline=3.0)
+    parts = {name: getattr(named, name) for name in ("name", "game", "topology")}
+    for make in (lambda **fields: get_scenario("energy", **fields), lambda **fields: Scenario(**parts, **fields)):
+        with pytest.raises(ValueError, match=r"has the deadline 2\.0 and the scenario 1\.2: say deadline=2\.0, too"):
+            make(transformation=HyperbolicTangent(2.0))
 
 
-class Slow(Exponential):
-    """λ whose slope at 0 is T/2."""
+def double(s):
+    """A function where a class is needed."""
+    return 2 * s
+
+
+def test_a_function_as_transformation_is_refused_with_the_class_to_write():
+    with pytest.raises(
+        ValueError, match=r"unexpected keyword argument 'deadline'; subclass TimeTransformation with time"
+    ):
+        World(get_scenario("energy", transformation=double))
+
+
+class Slow(TimeTransformation):
+    """λ(s) = T s/(2 + s), whose slope at 0 is T/2."""
 
     def time(self, s):
-        return super().time(np.asarray(s) / 2)
+        return self.deadline * s / (2 + s)
 
     def derivative(self, s):
-        return super().derivative(np.asarray(s) / 2) / 2
+        return 2 * self.deadline / (2 + s) ** 2
 
     def inverse(self, t):
-        return 2 * super().inverse(t)
+        return 2 * t / (self.deadline - t)
 
 
-def test_a_transformation_that_starts_with_another_slope_is_a_warning():
-    """In τ nothing else changes: episodes that end at the same τ are the same."""
-    default = get_scenario("energy", steps=20, s_end=12.0)
-    effective_time = World(default).clock.effective_time
-    s_end = float(Slow(1.2).from_effective_time(np.array(effective_time), default.gain))
+@pytest.mark.filterwarnings("ignore:.*short of the deadline")
+def test_a_transformation_that_starts_with_another_slope_is_a_warning_and_its_loop_in_tau_is_the_same():
+    default = get_scenario("energy", start="paper")
+    s_end = float(Slow(1.2).from_effective_time(np.array(World(default).clock.effective_time), default.gain))
+    slow = default.replace(transformation=Slow, s_end=s_end)
     with pytest.warns(UserWarning, match=r"λ'\(0\) = 0\.6 is not T = 1\.2, .* the loop in τ = s \+ c t, .* the same"):
-        slow = World(default.replace(transformation=Slow, s_end=s_end))
-    assert slow.clock.effective_time == pytest.approx(effective_time)
-    assert slow.clock.theta == pytest.approx(World(default).clock.theta)
-    assert slow.clock.transformation.gain(0.0, 20.0) == pytest.approx(20 + 2 / 1.2)
+        assert World(slow).clock.transformation.gain(0.0, 20.0) == pytest.approx(20 + 2 / 1.2)
+    with pytest.warns(UserWarning, match="λ'"):
+        estimates = record("static", slow).estimates
+    assert estimates == pytest.approx(record("static", default).estimates, abs=1e-7)
 
 
 def test_an_object_that_is_no_topology_is_refused_and_the_message_names_matrices_and_graphs():
