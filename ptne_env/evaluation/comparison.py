@@ -272,7 +272,7 @@ def compare(
         names = ", ".join(spec.name for spec in policies)
         raise ValueError(
             f"a comparison needs different names, got {names}; a file gets another name by 'name=path', and an object "
-            "by PolicySpec(name, object)"
+            "by a dictionary, {'mine': object}"
         )
     jobs = [
         Job(track, spec, training_seed, episodes[track.name])

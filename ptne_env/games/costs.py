@@ -31,11 +31,8 @@ class CostGame(Game):
     costs are then evaluated at complex numbers, so they are formulas of ``+ − × / **``, ``np.exp``, ``np.sqrt`` and so
     on, with ``np.where`` and comparisons, which see real parts. Arrays of JAX are differentiated by JAX, in which costs
     compute with the library of their argument, ``xp = x.__array_namespace__()``. So do, if JAX is installed, costs
-    whose complex step differs from a difference of costs at sampled points, as with ``abs``. Which of the two it is
+    whose complex step differs from a difference of costs at sampled points, as with ``abs(x)``. Which of the two it is
     depends on the costs alone, and both agree to 1e-12.
-
-    A best response is the minimiser that Newton's method reaches from the best of 33 points in the box. An equilibrium
-    is accepted where every cost has a minimum, and no best response has a lower cost.
 
     Attributes:
         function: the costs, unless a subclass writes them. Scenarios keep its name, so it is defined in a module, a
@@ -100,6 +97,10 @@ class CostGame(Game):
                 f"{name}: the cost of player {player} is {costs[player, column]} at x = {points[:, column]}: bound the "
                 "strategies, with low= and high=, to where costs are finite"
             )
+        first = slice(self.batch_size)
+        alone = require_shape(self.costs, points[:, first], "(n, B)", costs[:, first].shape, "(N, B)")
+        if not np.abs(alone - costs[:, first]).max() <= 1e-9 * (1 + np.abs(costs).max()):
+            raise ValueError(f"{name}: costs of one environment depend on another: sum over axis=0, as x.sum(axis=0)")
         expected = game._differentiate(estimates, _by_differences)  # noqa: SLF001 - the same class
         slack = 1e-4 * (1 + np.abs(expected)) + 1e-7 * np.abs(costs[self.owners])
         reasons = []
@@ -117,8 +118,9 @@ class CostGame(Game):
         function = self.function or self.costs
         raise ValueError(
             f"{name}: the costs, {function.__module__}.{function.__qualname__}, cannot be differentiated. Write them "
-            "as a formula of x without float(), abs() and numbers stored into other arrays, or, with JAX installed, "
-            f"with the functions of xp = x.__array_namespace__(). {'; '.join(reasons)}"
+            "as a formula of x without float() and numbers stored into other arrays; with JAX installed also with "
+            "abs(x), and functions such as xp.abs of xp = x.__array_namespace__(), not np.abs. "
+            f"{'; '.join(reasons)}"
         )
 
     def _units(self, count: int) -> FloatArray:
@@ -236,6 +238,8 @@ class CostGame(Game):
             raise ArithmeticError(
                 f"{type(self).__name__}: F vanishes at the point found, but no strategy was found that minimises the "
                 f"cost of player {int(found.all(axis=1).argmin())} there, so it is no Nash equilibrium"
+                + "; give low= and high= where costs are infinite or fall without end"
+                * (not np.isfinite(self.bounds).all())
             )
         self._require_no_better(points, response)
 

@@ -93,7 +93,8 @@ class JaxWorld:
         game, start = self._draw_games(keys[0]), self.numpy.start
         if isinstance(start, UniformStart):
             unit = uniforms(keys[1], self.layout.dimension * self.layout.num_players)
-            estimates = start.low + (start.high - start.low) * unit.reshape(self.layout.dimension, -1, num_envs)
+            low, high = start.bounds[..., None]
+            estimates = low + (high - low) * unit.reshape(self.layout.dimension, -1, num_envs)
         else:
             estimates = columns(self._starts, keys[1])
         randomness = None

@@ -154,7 +154,8 @@ def export(model: BaseAlgorithm, layout: ObservationLayout, **training: Any) -> 
         np.testing.assert_allclose(actions, expected, rtol=1e-4, atol=1e-4, equal_nan=False)
     except (ValueError, AssertionError) as error:
         raise ValueError(
-            f"no file can play this {type(model).__name__} ({error}); evaluate takes the model itself, or its .zip"
+            f"no file can play this {type(model).__name__} ({error}); evaluate takes the model itself"
+            + ", or its .zip" * (model.get_vec_normalize_env() is None)
         ) from error
     return exported
 

@@ -85,9 +85,14 @@ class Graph(Part):
         return [(int(i), int(j)) for i, j in np.argwhere(np.triu(np.maximum(self.adjacency, self.adjacency.T)))]
 
     def __repr__(self) -> str:
+        rows = [
+            {j: float(f"{weight:.4g}") for j, weight in enumerate(row) if weight} for row in self.adjacency.tolist()
+        ]
+        has_weights = not np.isin(self.adjacency, (0, 1)).all()
         if not self.is_directed:
-            return f"Graph(players={self.num_players}, edges={self.edges})"
-        heard = ", ".join(f"{i} hears {np.flatnonzero(row).tolist()}" for i, row in enumerate(self.adjacency))
+            edges = [(i, j, rows[i][j]) for i, j in self.edges] if has_weights else self.edges
+            return f"Graph(players={self.num_players}, edges={edges})"
+        heard = ", ".join(f"{i} hears {row if has_weights else list(row)}" for i, row in enumerate(rows))
         return f"Graph(players={self.num_players}, {heard})"
 
 

@@ -112,7 +112,10 @@ class Reward:
         self._function: Any = None if is_named else reward
         weights: Any = {} if not is_named else {reward: 1.0} if isinstance(reward, str) else reward
         if (unknown := sorted(set(weights) - set(TERMS))) or (is_named and not weights):
-            raise ValueError(f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}")
+            raise ValueError(
+                f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}, or pass a "
+                "function of (before, after, world) alone"
+            )
         self.weights = {name: require_non_negative(f"the weight of reward {name!r}", weights[name]) for name in weights}
         refused = [name for name in weights if TERMS[name].needs_best_response and not world.game.has_best_response]
         if refused:
@@ -151,7 +154,7 @@ class Reward:
         if self._function is not None:
             shape, paid = state.estimates.shape[1:], self._function(self._state, state, self._world)
             if np.shape(paid) not in (shape, shape[1:]) or (is_numpy(paid) and not np.isfinite(paid).all()):
-                raise ValueError(f"a reward function returns numbers of shape {shape} or {shape[1:]}, got {paid!r}")
+                raise ValueError(f"a reward function returns finite numbers, {shape} or {shape[1:]}, got {paid!r}")
             xp = array_namespace(state.estimates)
             terms["function"] = xp.where(self._state.diverged, 0.0, xp.broadcast_to(paid, shape)).astype(np.float64)
         self._state = state

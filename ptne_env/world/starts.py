@@ -29,24 +29,37 @@ class Start(Part, ABC):
 
 
 class UniformStart(Start):
-    """Independent entries x^i_j(0) ~ U(low, high).
+    """Independent entries x^i_j(0) ~ U(low_j, high_j).
 
     Attributes:
-        low: the smallest estimate.
-        high: the largest; a ``ValueError`` unless low < high, both finite.
+        low: the smallest estimates, one number for all components or (n,).
+        high: the largest, likewise; a ``ValueError`` unless low < high, both finite.
     """
 
     is_random = True
 
-    low: float = -20.0
-    high: float = 20.0
+    low: npt.ArrayLike = -20.0
+    high: npt.ArrayLike = 20.0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
-            raise ValueError(f"UniformStart needs finite low < high, got {self.low!r} and {self.high!r}")
+        shapes = {(), np.shape(self.low), np.shape(self.high)}
+        is_range = len(shapes) < 3 and np.isfinite(self.bounds).all() and np.all(self.bounds[0] < self.bounds[1])
+        if not is_range or self.bounds.ndim > 3:
+            raise ValueError(
+                "UniformStart needs finite low < high, one number for all components or one per component, got "
+                f"{self.low!r} and {self.high!r}"
+            )
+
+    @cached_property
+    def bounds(self) -> FloatArray:
+        """Low and high, (2, n, 1), or (2, 1) where they are one number for all components."""
+        return freeze(np.broadcast_arrays(self.low, self.high))[..., None]
 
     def draw(self, num_players: int, dimension: int, generator: np.random.Generator) -> FloatArray:
-        return generator.uniform(self.low, self.high, size=(dimension, num_players))
+        low, high = self.bounds
+        if low.size not in (1, dimension):
+            raise ValueError(f"this start has bounds for {low.size} components, the game has {dimension}")
+        return generator.uniform(low, high, size=(dimension, num_players))
 
 
 class FixedStart(Start):

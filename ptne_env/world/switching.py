@@ -245,12 +245,13 @@ def from_function(
 ) -> SwitchingTopology:
     """Return the topology whose graph at a time is ``signal(time)`` until ``end``, and then the same over and over.
 
-    The signal returns a :class:`Graph` or what makes one. It is called here alone, at ``samples`` times from 0 to
-    ``end`` and near switches, which are found to 1e-12 of ``end``; of several switches between two of these times, only
-    one is found. The topology holds graphs and dwells, as any other, so it can be stored and sent to worker processes.
+    The signal is piecewise constant, and returns a :class:`Graph` or what makes one. It is called here alone, at
+    ``samples`` times from 0 to ``end`` and near switches, which are found to 1e-12 of ``end``; of several switches
+    between two of these times, only one is found. The topology holds graphs and dwells, as any other, so it can be
+    stored and sent to worker processes.
 
     Raises:
-        ValueError: when a number is out of range, or a graph is none.
+        ValueError: when a number is out of range, a graph is none, or the signal changes without a pause.
     """
     grid = np.linspace(0.0, require_positive("end", end), require_count("samples", samples, 2), endpoint=False)
     graphs, switches, before = [as_graph(signal(0.0))], [0.0], 0.0
@@ -260,6 +261,11 @@ def from_function(
             while after - before > 1e-12 * end:
                 middle = (before + after) / 2
                 before, after = (middle, after) if as_graph(signal(middle)) == graphs[-1] else (before, middle)
+            if after - switches[-1] < 1e-9 * end:
+                raise ValueError(
+                    f"the signal changes at {switches[-1]:.4g} and at once again, but it is to be piecewise constant: "
+                    "sample a continuous one, such as lambda t: signal(round(t, 2))"
+                )
             graphs.append(as_graph(signal(after)))
             switches.append(after)
         before = after

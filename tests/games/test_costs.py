@@ -168,7 +168,10 @@ def test_best_responses_verify_equilibria_of_any_game():
 
 @pytest.mark.parametrize(
     ("costs", "message"),
-    [(lower_ends, "no strategy was found that minimises the cost of player 0"), (matching, "Nash equilibrium")],
+    [
+        (lower_ends, "no strategy was found that minimises the cost of player 0 .*; give low= and high= where costs"),
+        (matching, "Nash equilibrium"),
+    ],
 )
 def test_a_game_without_equilibrium_is_an_error(costs, message):
     with pytest.raises(ArithmeticError, match=message):
@@ -188,7 +191,7 @@ def absolute(x):
 
 
 def by_float(x):
-    return [x[0] * float(np.sum(x[0])) ** 2, x[1] ** 2]
+    return np.array([[float(value) ** 2 for value in row] for row in x])
 
 
 def stored(x):
@@ -208,7 +211,9 @@ def stored(x):
             r"test_costs.stored, cannot be differentiated.*a complex step gives another derivative of .* player 0",
         ),
         (by_float, r"test_costs.by_float.*"),
-        (lambda x: np.random.default_rng().random(x.shape), "cannot be differentiated"),
+        (lambda x: np.abs(x - 0.3) ** 3, r"with JAX installed also with abs\(x\), and .*, not np\.abs\. "),
+        (lambda x: x**2 / 2 - x * 10 / (1 + x.sum() ** 2), r"of one environment depend on another: sum over axis=0"),
+        (lambda x: np.random.default_rng().random(x.shape), "of one environment depend on another"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
@@ -220,13 +225,16 @@ def test_wrong_costs_are_named(costs, message):
 def test_a_game_says_what_it_lacks():
     with pytest.raises(ValueError, match="at least 2 players"):
         CostGame(two_valleys)
+    with pytest.raises(ValueError, match="action_dims is a tuple, one number per player, got 6"):
+        CostGame(two_valleys, action_dims=6)
     with pytest.raises(NotImplementedError, match=r"write costs\(x\), or pass a function"):
         CostGame(action_dims=(1, 1))
 
 
-def test_costs_that_complex_numbers_cannot_have_are_differentiated_by_jax():
+@pytest.mark.parametrize("costs", [absolute, lambda x: x.__array_namespace__().abs(x - 0.3) ** 3])
+def test_costs_that_complex_numbers_cannot_have_are_differentiated_by_jax(costs):
     pytest.importorskip("jax", reason="needs the extra 'jax'")
-    game, points = CostGame(absolute, (1, 1)), some_points(Deep(), 9)
+    game, points = CostGame(costs, (1, 1)), some_points(Deep(), 9)
     expected = 3 * np.abs(points - 0.3) * (points - 0.3)
     np.testing.assert_allclose(game.pseudo_gradient(points), expected, rtol=1e-14)
     assert game.pseudo_gradient(points).dtype == np.float64

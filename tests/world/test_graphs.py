@@ -65,6 +65,7 @@ def test_a_graph_of_networkx_keeps_its_weights_and_numbered_players():
     graph.add_edge(0, 2, weight=2.5)
     ours = graphs.Graph(graph)
     assert ours.adjacency.tolist() == [[0, 0, 2.5], [0, 0, 1], [2.5, 1, 0]]
+    assert str(ours) == "Graph(players=3, edges=[(0, 2, 2.5), (1, 2, 1.0)])"
 
 
 def test_an_edge_of_a_directed_graph_of_networkx_carries_messages_to_its_end():
@@ -73,7 +74,8 @@ def test_an_edge_of_a_directed_graph_of_networkx_carries_messages_to_its_end():
     ours = graphs.Graph(graph)
     assert ours.adjacency.tolist() == [[0, 0, 1], [1, 0, 0], [2.5, 1, 0]]
     assert ours.edges == [(0, 1), (0, 2), (1, 2)]
-    assert str(ours) == "Graph(players=3, 0 hears [2], 1 hears [0], 2 hears [0, 1])"
+    assert str(ours) == "Graph(players=3, 0 hears {2: 1.0}, 1 hears {0: 1.0}, 2 hears {0: 2.5, 1: 1.0})"
+    assert str(graphs.Graph(nx.DiGraph(graph.edges))) == "Graph(players=3, 0 hears [2], 1 hears [0], 2 hears [0, 1])"
 
 
 @pytest.mark.parametrize("label", [lambda player: player + 1, str, lambda player: float(-9 + player), "0{}".format])

@@ -198,7 +198,7 @@ def test_a_function_pays_for_each_step_and_a_team_is_paid_alike():
 
 @pytest.mark.parametrize("wrong", [np.zeros((3, 5)), np.full((5, 3), np.nan), 0.0, None], ids=str)
 def test_a_function_that_returns_something_else_is_refused(wrong):
-    with pytest.raises(ValueError, match=r"returns numbers of shape \(5, 3\) or \(3,\), got"):
+    with pytest.raises(ValueError, match=r"returns finite numbers, \(5, 3\) or \(3,\), got"):
         episode(GAMES["energy"], lambda before, after, world: wrong)
 
 

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 from worlds import PAPER_START
 
+from ptne_env import FactorySpec, get_scenario
 from ptne_env.world.starts import FixedStart, PaperStart, UniformStart
+from ptne_env.world.world import World
 
 
 def generator(seed=0):
@@ -34,7 +36,30 @@ def test_uniform_start_fills_exactly_its_interval():
     assert UniformStart(2.0, 3.0).draw(4, 4, generator()).min() >= 2.0
 
 
-@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (2.0, 1.0), (float("nan"), 1.0), (0.0, float("inf"))])
+def test_uniform_start_has_a_range_per_component():
+    start = FactorySpec.of("start:uniform", low=0.0, high=np.array([1.0, 10.0, 0.1])).build()
+    draws = start.draw(400, 3, generator())
+    assert draws.min(axis=1) == pytest.approx(0, abs=0.1)
+    assert draws.max(axis=1) == pytest.approx([1.0, 10.0, 0.1], rel=0.02)
+    assert np.array_equal(
+        UniformStart([-2.0] * 3, 3.0).draw(5, 3, generator()), UniformStart(-2.0, 3.0).draw(5, 3, generator())
+    )
+    with pytest.raises(ValueError, match="this start has bounds for 3 components, the game has 5"):
+        World(get_scenario("energy", start=start))
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [
+        (1.0, 1.0),
+        (2.0, 1.0),
+        (float("nan"), 1.0),
+        (0.0, float("inf")),
+        (0.0, [1.0, -1.0]),
+        (0.0, np.ones((2, 2))),
+        ([0.0, 0.0], [1.0, 2.0, 3.0]),
+    ],
+)
 def test_empty_or_infinite_intervals_are_refused(low, high):
     with pytest.raises(ValueError, match="finite low < high"):
         UniformStart(low, high)

@@ -253,3 +253,12 @@ def test_a_function_that_never_changes_is_a_fixed_graph():
     assert switching.from_function(lambda _: graphs.star(4), end=2.0, clock="transformed").is_fixed
     with pytest.raises(ValueError, match="end must be a finite number above 0"):
         switching.from_function(lambda _: graphs.star(4), end=0.0)
+
+
+def test_a_function_that_always_changes_is_sampled_by_the_user():
+    def signal(time):
+        return (1 + time) * graphs.star(4).adjacency
+
+    with pytest.raises(ValueError, match=r"changes at 0 and at once again, .*lambda t: signal\(round\(t, 2\)\)"):
+        switching.from_function(signal, end=1.2)
+    assert len(switching.from_function(lambda t: signal(round(t, 1)), end=1.2).graphs) == 13
