@@ -65,7 +65,6 @@ MISUSES = {
     "parallel_env('energy', reward={'digits': -1})": "weight of reward 'digits' must be a finite number of at least 0",
     "parallel_env('energy', reward={})": "unknown reward {}; choose from",
     "parallel_env('energy', reward={'digits': 1, 'score': 2})": "unknown reward 'score'; choose from digits, tracking",
-    "parallel_env('energy', reward={'digits': 1, 'mine': len})": "unknown reward 'mine'; .*, or pass a function of",
     "parallel_env('energy', reward={'digits': np.nan})": "weight of reward 'digits' must be a finite number",
     "parallel_env('energy', reward=len)": "reward is one of digits, .*a function of .before, after, world., got",
     "parallel_env('energy', reward=['digits'])": "reward is one of digits, .*a function of .before, after, world., got",

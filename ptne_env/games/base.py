@@ -63,10 +63,8 @@ class Game(Part, ABC):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if np.ndim(self.action_dims) != 1:
-            raise ValueError(f"action_dims is a tuple, one number per player, got {self.action_dims!r}")
-        if len(self.action_dims) < 2:
-            raise ValueError(f"a game needs at least 2 players, got action_dims={self.action_dims!r}")
+        if np.ndim(self.action_dims) != 1 or len(self.action_dims) < 2:
+            raise ValueError(f"action_dims is a tuple, a number for each of at least 2 players, got {self.action_dims}")
         for dim in self.action_dims:
             require_count("each entry of action_dims", dim, 1)
         _ = self.box

@@ -118,9 +118,8 @@ class CostGame(Game):
         function = self.function or self.costs
         raise ValueError(
             f"{name}: the costs, {function.__module__}.{function.__qualname__}, cannot be differentiated. Write them "
-            "as a formula of x without float() and numbers stored into other arrays; with JAX installed also with "
-            "abs(x), and functions such as xp.abs of xp = x.__array_namespace__(), not np.abs. "
-            f"{'; '.join(reasons)}"
+            "as a formula of x without float() and numbers stored into other arrays; with JAX installed, abs(x) and "
+            f"functions of xp = x.__array_namespace__() will do, but not np.abs(x). {'; '.join(reasons)}"
         )
 
     def _units(self, count: int) -> FloatArray:
@@ -239,7 +238,7 @@ class CostGame(Game):
                 f"{type(self).__name__}: F vanishes at the point found, but no strategy was found that minimises the "
                 f"cost of player {int(found.all(axis=1).argmin())} there, so it is no Nash equilibrium"
                 + "; give low= and high= where costs are infinite or fall without end"
-                * (not np.isfinite(self.bounds).all())
+                * (self.box is None)
             )
         self._require_no_better(points, response)
 

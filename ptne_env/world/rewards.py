@@ -112,10 +112,7 @@ class Reward:
         self._function: Any = None if is_named else reward
         weights: Any = {} if not is_named else {reward: 1.0} if isinstance(reward, str) else reward
         if (unknown := sorted(set(weights) - set(TERMS))) or (is_named and not weights):
-            raise ValueError(
-                f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}, or pass a "
-                "function of (before, after, world) alone"
-            )
+            raise ValueError(f"unknown reward {', '.join(map(repr, unknown)) or '{}'}; choose from {', '.join(TERMS)}")
         self.weights = {name: require_non_negative(f"the weight of reward {name!r}", weights[name]) for name in weights}
         refused = [name for name in weights if TERMS[name].needs_best_response and not world.game.has_best_response]
         if refused:

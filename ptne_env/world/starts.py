@@ -46,8 +46,7 @@ class UniformStart(Start):
         is_range = len(shapes) < 3 and np.isfinite(self.bounds).all() and np.all(self.bounds[0] < self.bounds[1])
         if not is_range or self.bounds.ndim > 3:
             raise ValueError(
-                "UniformStart needs finite low < high, one number for all components or one per component, got "
-                f"{self.low!r} and {self.high!r}"
+                f"UniformStart needs finite low < high, numbers or (n,), got {self.low!r} and {self.high!r}"
             )
 
     @cached_property

@@ -247,8 +247,7 @@ def from_function(
 
     The signal is piecewise constant, and returns a :class:`Graph` or what makes one. It is called here alone, at
     ``samples`` times from 0 to ``end`` and near switches, which are found to 1e-12 of ``end``; of several switches
-    between two of these times, only one is found. The topology holds graphs and dwells, as any other, so it can be
-    stored and sent to worker processes.
+    between two of these times, only one is found. The topology holds graphs and dwells, so it can be stored and sent.
 
     Raises:
         ValueError: when a number is out of range, a graph is none, or the signal changes without a pause.

@@ -17,7 +17,7 @@ from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.suites import get_suite
 from ptne_env.world import dynamics
 from ptne_env.world.disturbances import Disturbance
-from ptne_env.world.starts import Start
+from ptne_env.world.starts import Start, UniformStart
 
 
 class NumpyPush(Disturbance):
@@ -71,6 +71,12 @@ def test_an_episode_is_the_same_in_a_batch_of_any_size_and_another_for_another_k
     np.testing.assert_array_equal(alone.estimates, together.estimates[..., :1])
     np.testing.assert_array_equal(alone.received.messages, together.received.messages[..., :1])
     assert not np.any(other.estimates == alone.estimates)
+
+
+def test_a_start_has_a_range_per_component():
+    start = UniformStart(low=[0.0, 1.0, 2.0, 3.0, 4.0], high=np.arange(5) + 0.5)
+    estimates = ptne_env.jax.JaxWorld("energy", start=start).reset(key(), 20).estimates
+    assert np.array_equal(np.round(estimates - 0.25), np.broadcast_to(np.arange(5.0)[:, None, None], (5, 5, 20)))
 
 
 def test_starts_that_numpy_alone_can_draw_come_from_a_pool():
