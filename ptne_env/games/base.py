@@ -282,7 +282,7 @@ class Game(Part, ABC):
             raise ArithmeticError(
                 f"{type(self).__name__}: the point found has "
                 f"{'‖x − Π(x − F(x))‖' if self.has_bounds else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
-                "was found"
+                "was found" + "; give low and high where a cost has a pole or falls without end" * (not self.has_bounds)
             )
         self._require_minima(points)
         return freeze(points)

@@ -237,8 +237,8 @@ class CostGame(Game):
             raise ArithmeticError(
                 f"{type(self).__name__}: F vanishes at the point found, but no strategy was found that minimises the "
                 f"cost of player {int(found.all(axis=1).argmin())} there, so it is no Nash equilibrium"
-                + "; give low= and high= where costs are infinite or fall without end"
-                * (self.box is None)
+                + "; give low and high where a cost has a pole or falls without end"
+                * (not self.has_bounds)
             )
         self._require_no_better(points, response)
 

@@ -43,10 +43,9 @@ class UniformStart(Start):
 
     def __post_init__(self) -> None:
         shapes = {(), np.shape(self.low), np.shape(self.high)}
-        is_range = len(shapes) < 3 and np.isfinite(self.bounds).all() and np.all(self.bounds[0] < self.bounds[1])
-        if not is_range or self.bounds.ndim > 3:
+        if len(shapes) > 2 or self.bounds.ndim > 3 or not np.all(np.isfinite(self.bounds) & np.less(*self.bounds)):
             raise ValueError(
-                f"UniformStart needs finite low < high, numbers or (n,), got {self.low!r} and {self.high!r}"
+                f"UniformStart needs finite low < high, each a number or (n,), got {self.low!r} and {self.high!r}"
             )
 
     @cached_property
@@ -58,7 +57,7 @@ class UniformStart(Start):
         low, high = self.bounds
         if low.size not in (1, dimension):
             raise ValueError(f"this start has bounds for {low.size} components, the game has {dimension}")
-        return generator.uniform(low, high, size=(dimension, num_players))
+        return low + (high - low) * generator.random((dimension, num_players))  # faster than generator.uniform
 
 
 class FixedStart(Start):

@@ -262,8 +262,7 @@ def from_function(
                 before, after = (middle, after) if as_graph(signal(middle)) == graphs[-1] else (before, middle)
             if after - switches[-1] < 1e-9 * end:
                 raise ValueError(
-                    f"the signal changes at {switches[-1]:.4g} and at once again, but it is to be piecewise constant: "
-                    "sample a continuous one, such as lambda t: signal(round(t, 2))"
+                    f"the signal is not piecewise constant at {after:.4g}: sample it by lambda t: signal(round(t, 2))"
                 )
             graphs.append(as_graph(signal(after)))
             switches.append(after)

@@ -169,7 +169,8 @@ def test_best_responses_verify_equilibria_of_any_game():
 @pytest.mark.parametrize(
     ("costs", "message"),
     [
-        (lower_ends, "no strategy was found that minimises the cost of player 0 .*; give low= and high= where costs"),
+        (lower_ends, "no strategy was found that minimises the cost of player 0 .*; give low and high where a cost"),
+        (lambda x: x**2 / 2 - 100 * x / (1 + x.sum(axis=0)), "no .* was found; give low and high where a cost"),
         (matching, "Nash equilibrium"),
     ],
 )
