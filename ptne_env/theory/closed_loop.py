@@ -101,8 +101,8 @@ def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
         probes[:, -3] = np.tensordot(mixture, probes[:, :-3], axes=(0, 1))
         probes[:, -2] = small * probes[:, -3]
 
-    weights = np.repeat(weights[:, None], kinds, axis=1)
-    inputs = _respond(law, game, weights, *(_NEAR * probes for probes in (gradient, relative, error))) / _NEAR
+    one, near = np.ones(kinds), [_NEAR * probes for probes in (error, gradient, relative)]
+    inputs = _respond(law, game, near, np.repeat(weights[:, None], kinds, axis=1), theta=one, dt=one) / _NEAR
     mixed = np.tensordot(inputs[:, :-3], mixture, axes=(1, 0))
     wanted, scale = np.stack([mixed, small * mixed, 0 * mixed], axis=1), 1e-9 * (1 + np.abs(mixed).max())
     if np.any(np.abs(wanted - inputs[:, -3:]).max(axis=(0, 2)) > scale * np.array([1, small, small])):
@@ -118,19 +118,12 @@ def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
     return _restrict(matrix.reshape(players * n, -1), game)
 
 
-def _respond(
-    law: Law,
-    game: Game,
-    weights: FloatArray,
-    gradient: FloatArray,
-    relative: FloatArray,
-    error: FloatArray,
-    **times: Any,
-) -> FloatArray:
-    """Return the inputs (N, R, n) to R observations of each player, at the start unless ``times`` has other fields.
+def _respond(law: Law, game: Game, probes: Sequence[FloatArray], weights: FloatArray, **times: Any) -> FloatArray:
+    """Return the inputs of R observations of each player, shape (N, R, n).
 
-    Weights (N, R, D), gradients (N, R, n), differences (N, R, D, n) and errors (N, R, n); each time has the shape (R,).
+    Probes are errors (N, R, n), gradients (N, R, n) and differences (N, R, D, n); weights are (N, R, D), times (R,).
     """
+    error, gradient, relative = probes
     players, rows, n = error.shape
     player = np.repeat(np.arange(players), rows)
     blank = np.zeros((player.size, law.layout.size))
@@ -140,10 +133,7 @@ def _respond(
         relative_estimates=relative.reshape(player.size, -1, n),
         weights=weights.reshape(player.size, -1),
         own_estimate=error.reshape(-1, n) + game.nash_equilibrium,
-        **{
-            name: np.tile(np.broadcast_to(values, rows), players)[:, None]
-            for name, values in {"theta": 1.0, "dt": 1.0, **times}.items()
-        },
+        **{name: np.tile(values, players)[:, None] for name, values in times.items()},
     )
     return law.inputs(observation, law.initial_memory(player.size))[0].reshape(players, rows, n)
 
@@ -283,59 +273,46 @@ def sampled_loop(world: World, law: Law) -> SampledLoop:
     """Return the loop of a law, built for the layout of the world; in a world of random games, on its typical game.
 
     Raises:
-        NoClosedLoopError: as :func:`law_matrix`, and for a law whose gains depend on time, or that reads the length of
-            its step for more than to undo the time gain.
+        NoClosedLoopError: as :func:`law_matrix`, and for a law whose gains depend on time, or on the length of the step
+            for more than to undo the time gain.
     """
     clock, topology = world.clock, world.topology
     matrices = tuple(law_matrix(law, world.game, graph) for graph in topology.graphs)
     instants = clock.topology_times[topology.clock][: clock.steps]
     modes = topology.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
-    loops = (
-        SampledLoop(matrices, modes, clock.theta[: clock.steps], "effective"),
-        SampledLoop(matrices, modes, clock.dt[: clock.steps], "physical"),
-    )
     errors = np.random.default_rng(0).uniform(-_NEAR, _NEAR, (clock.steps, len(matrices[0])))
-    for loop in loops:
+    lengths: dict[LoopClock, FloatArray] = {"effective": clock.theta, "physical": clock.dt}
+    for name, steps in lengths.items():
+        loop = SampledLoop(matrices, modes, steps[: clock.steps], name)
         if follows(law, world, loop, errors):
             return loop
-    is_timed = any(follows(law, world, loop, errors, stops_time=True) for loop in loops)
-    reason = "'s gains depend on time" if is_timed else " reads the length of its step"
-    raise NoClosedLoopError(f"{type(law).__name__}{reason}, so it has another loop in every step")
+    raise NoClosedLoopError(f"the gains of {type(law).__name__} depend on time, so it has another loop in every step")
 
 
-def follows(law: Law, world: World, loop: SampledLoop, errors: FloatArray, *, stops_time: bool = False) -> bool:
-    """Return whether the inputs of a law at some errors are those of its loop.
+def follows(law: Law, world: World, loop: SampledLoop, errors: FloatArray) -> bool:
+    """Return whether the inputs of a law are those of its loop, at an error (steps, Nn) in each of the first steps.
 
-    If they are at every error of ``loop.errors(start)``, the episode from this start is the loop, by induction.
-
-    Args:
-        law: the law.
-        world: the world.
-        loop: the loop.
-        errors: the error at the beginning of each of the first steps, shape (steps, Nn).
-        stops_time: whether the law is told t = s = 0 in every step.
+    If they are at ``loop.errors(start)``, the episode from this start is the loop, by induction.
     """
-    clock, game, steps = world.clock, world.game, len(errors)
-    neighbours, own = np.array(law.layout.neighbours), game.owners == np.arange(game.num_players)[:, None]
-    adjacency = np.array([graph.adjacency for graph in world.topology.graphs])[
-        :, np.arange(len(own))[:, None], neighbours
-    ]
-    parts = steps * own.size * law.layout.slots // 2**22 + 1  # each of which fits in memory
-    for part in np.array_split(np.arange(steps), parts):
-        modes, error = loop.modes[part], np.zeros((part.size, own.size))
-        error[:, _is_free(game)] = errors[part]
+    clock, game = world.clock, world.game
+    own, free = game.owners == np.arange(game.num_players)[:, None], _is_free(game)
+    neighbours, players = np.array(law.layout.neighbours), np.arange(game.num_players)
+    adjacency = np.array([graph.adjacency[players[:, None], neighbours] for graph in world.topology.graphs])
+    parts = len(errors) * own.size * law.layout.slots // 2**22 + 1  # each of which fits in memory
+    for part in np.array_split(np.arange(len(errors)), parts):
+        modes, theta, error = loop.modes[part], clock.theta[part], np.zeros((part.size, own.size))
+        error[:, free] = errors[part]
         error = error.reshape(-1, *own.shape).swapaxes(0, 1)
         weights = adjacency[modes].swapaxes(0, 1)
         relative = (error[neighbours] - error[:, None]).swapaxes(1, 2) * (weights > 0)[..., None]
         gradient = np.where(own[:, None], error @ jacobian_at_equilibrium(game).T, 0.0)
-        times = {"theta": clock.theta[part], "dt": clock.dt[part]}
-        if not stops_time:
-            times |= {"elapsed": clock.t[part] / clock.deadline, "transformed": clock.s[part]}
-        inputs = _respond(law, game, weights, gradient, relative, error, **times).swapaxes(0, 1)
-        moves = np.einsum("kij,kj->ki", np.array(loop.matrices)[modes], errors[part]) * loop.steps[part, None]
-        off = inputs.reshape(part.size, -1)[:, _is_free(game)] + moves / clock.theta[part, None]
-        sizes = np.abs(errors[part]).max(axis=1, keepdims=True) * (loop.steps / clock.theta[: clock.steps]).max()
-        if not np.all(np.abs(off) <= 1e-9 * np.abs(loop.matrices).max() * sizes):
+        times = {"dt": clock.dt[part], "elapsed": clock.t[part] / clock.deadline, "transformed": clock.s[part]}
+        inputs = _respond(law, game, (error, gradient, relative), weights, theta=theta, **times)
+        moves = np.einsum("kij,kj->ki", np.array(loop.matrices)[modes], errors[part])
+        ratio = (loop.steps[part] / theta)[:, None]
+        off = np.abs(inputs.swapaxes(0, 1).reshape(part.size, -1)[:, free] + ratio * moves)
+        scale = np.abs(loop.matrices).max() * np.abs(errors[part]).max(axis=1, keepdims=True)
+        if not np.all(off <= 1e-9 * ratio.max() * scale):
             return False
     return True
 

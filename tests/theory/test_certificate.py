@@ -171,9 +171,9 @@ def test_the_rate_is_that_of_late_errors():
     [
         (Sign, "not linear"),
         (DeadZone, "not linear"),
-        (Damped, "reads the length of its step"),
-        (Late, "Late's gains depend on time, so it has another loop in every step"),
-        (Gated, "Gated's gains depend on time"),
+        (Damped, "the gains of Damped depend on time, so it has another loop in every step"),
+        (Late, "the gains of Late depend on time"),
+        (Gated, "the gains of Gated depend on time"),
         (Rewritten, "overrides decide"),
     ],
 )

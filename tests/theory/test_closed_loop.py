@@ -60,7 +60,7 @@ def test_laws_without_a_closed_loop_give_the_reason():
     world, sign = build("energy", Sign)
     with pytest.raises(NoClosedLoopError, match="Sign is not linear"):
         theory.law_matrix(sign, world.game, world.topology.graphs[0])
-    with pytest.raises(NoClosedLoopError, match="Damped reads the length of its step"):
+    with pytest.raises(NoClosedLoopError, match="the gains of Damped depend on time"):
         theory.sampled_loop(*build("energy", Damped))
 
 
