@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
+from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 from ptne_env import theory
@@ -12,8 +13,6 @@ from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, console, say, write_json
 from ptne_env.evaluation import POLICIES
-from ptne_env.report.tables import certificate_tables
-from ptne_env.report.terminal import draw_table
 
 
 @app.command()
@@ -45,8 +44,8 @@ def certify(
     with threadpool_limits(1):  # on matrices of this size several BLAS threads wait for each other
         certificate = theory.certify(world, law=law)
     write_json(json, certificate.to_dict())
-    screen = console()
-    for table in certificate_tables(certificate):
-        screen.print(draw_table(table, screen.width))
+    table = Text(str(certificate))
+    table.highlight_regex(r"(?P<green>\bholds\b)|(?P<red>\bfails\b)")
+    console().print(table, soft_wrap=True)
     if json is not None:
         say(f"Certificate written to {json}")

@@ -1,4 +1,4 @@
-"""Tables as data, which the terminal and the page show: of results, certificates and verifications."""
+"""Tables as data, which the terminal and the page show: of results and verifications."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
 from ptne_env.execution.verification import Repetition, Verification
 from ptne_env.suites.leaderboard import leaderboard
-from ptne_env.theory import Certificate
 
 DIGITS_NOTE = "digits: 2 is an error of all estimates of 1 %, 3 is an error of 0.1 %; 12 at most"
 BESIDE_NOTE = "on the way: mean digits after every step; worst tenth: mean digits of the worst tenth of the episodes"
@@ -320,36 +319,6 @@ def _list_reasons(results: Results, tracks: Sequence[str]) -> tuple[str, ...]:
         f"{verdict}: {policy} on {join_words(found, most=3)}: {results.reasons[found[0], policy].partition(': ')[2]}"
         for (policy, verdict), found in places.items()
     )
-
-
-def certificate_tables(certificate: Certificate) -> tuple[Table, Table]:
-    """Return the paper's assumptions with the number that decides each, and the predictions of a certificate."""
-    assumptions = text_table(
-        f"{certificate.scenario}: what the paper assumes",
-        "",
-        ("verdict", "assumption", "decided by"),
-        (
-            (check.name, check.verdict, check.statement, f"{number(check.value)}: {check.meaning}")
-            for check in certificate.assumptions
-        ),
-    )
-    clock, step = ("s", "Θ") if certificate.clock == "effective" else ("t", "Δt")
-    rows = {"the law's own condition": "it promises nothing"}
-    if (condition := certificate.condition) is not None:
-        verdict = "holds" if condition.holds else "fails (sufficient, not necessary)"
-        rows = {condition.name: f"{number(condition.value)} against {number(condition.bound)}: {verdict}"}
-    if certificate.rate is not None:
-        rows[f"rate r, error ~ e^(−r {clock})"] = number(certificate.rate)
-    if certificate.digits is not None:
-        exactness = "exact" if certificate.digits_are_exact else "not exact, see the notes"
-        rows["digits at the deadline"] = f"{number(certificate.digits)} ({exactness})"
-    if certificate.largest_step is not None:
-        stable = "none" if certificate.largest_stable_step is None else number(certificate.largest_stable_step)
-        rows[f"largest step {step}, and the largest stable one"] = f"{number(certificate.largest_step)}, {stable}"
-    rows["short of the deadline, 1 − t_K/T"] = f"{certificate.shortfall:.3%}"
-    notes = tuple(f"Note: {note}" for note in certificate.notes)
-    title = f"{certificate.scenario}: {certificate.law}"
-    return assumptions, text_table(title, "prediction", ("value",), rows.items(), notes)
 
 
 def verification_table(verification: Verification) -> Table:

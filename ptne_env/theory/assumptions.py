@@ -13,6 +13,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import scipy
 
+from ptne_env.evaluation.metrics import number
 from ptne_env.games import Game
 from ptne_env.games.base import require_shape
 from ptne_env.shared.arrays import FloatArray, IntArray, freeze
@@ -50,6 +51,9 @@ class AssumptionCheck:
     value: float | None
     meaning: str
     verdict: Verdict
+
+    def __str__(self) -> str:
+        return f"{self.verdict}: {self.statement} ({number(self.value)}: {self.meaning})"
 
 
 def check_assumptions(world: World, constants: MonotonicityConstants) -> tuple[AssumptionCheck, ...]:
@@ -125,10 +129,7 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
     right, such as one that approaches T with 1/ln s.
 
     Returns:
-        1 − λ(s)/T at the last of these s.
-
-    Warns:
-        UserWarning: when T − λ(s) is not small at the last of these s, and still falls.
+        1 − λ(s)/T at the last of these s; a warning says where it is not small, and still falls.
 
     Raises:
         LemmaViolationError: when a condition is violated; the message names the first one.

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from ptne_env.evaluation.metrics import number
 from ptne_env.evaluation.policy_spec import PolicySpec, get_policy_spec
-from ptne_env.laws import Law, Static
+from ptne_env.laws import Adaptive, Grounded, Law, Static
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.parts import FactorySpec, is_part
@@ -48,9 +50,9 @@ class Certificate:
         assumptions: Lemma 1 and Assumptions 1–4 of the paper, each with the number that decides it.
         condition: the condition of the law's theorem, sufficient for convergence; ``None`` without a theorem.
         clock: ``"effective"``, or ``"physical"`` for a law that undoes the time gain.
-        rate: r, with which the error decays like e^{−r s} as t → T (e^{−r t} on the physical clock); 0 or less when it
-            does not vanish; ``None`` for a random topology. Where the loop is not linear, it is the rate of the
-            linearisation at x*; where gains adapt, that of the gains at the start.
+        rate: r, with which the error decays like e^{−r τ} as t → T, τ = s + c t (e^{−r t} on the physical clock); 0 or
+            less when it does not vanish; ``None`` for a random topology. Where the loop is not linear, it is the rate
+            of the linearisation at x*; where gains adapt, that of the gains at the start.
         digits: −log10 ‖**x** − 1⊗x*‖/(√N ‖x*‖) at T, which the sampled loop, the product of (I − h_k M_k), reaches from
             the scenario's start over perfect links; ``None`` where the loop is not linear or gains adapt.
         digits_are_exact: whether every episode has these digits, up to 12 of them: nothing is random, nothing disturbs,
@@ -75,6 +77,22 @@ class Certificate:
     digits_are_exact: bool = False
     largest_step: float | None = None
     largest_stable_step: float | None = None
+
+    def __str__(self) -> str:
+        """Return a table of the assumptions, the predictions and the notes, in 80 columns."""
+        decay, step = ("τ), τ = s + c t", "Θ") if self.clock == "effective" else ("t)", "Δt")
+        exactness = "exact" if self.digits_are_exact else "not exact, see the notes"
+        stable = number(self.largest_stable_step)
+        rows = {check.name: str(check) for check in self.assumptions}
+        rows["condition"] = str(self.condition or "of no theorem")
+        if self.clock is not None:
+            rows["rate r"] = f"{number(self.rate)}, error ~ e^(−r {decay}"
+            rows["digits at T"] = f"{number(self.digits)} ({exactness})"
+            rows["largest step"] = f"{step} = {number(self.largest_step)}, the largest stable one {stable}"
+        rows["shortfall"] = f"1 − t_K/T = {self.shortfall:.3%}"
+        lines = (textwrap.fill(f"{name:14}{text}", 80, subsequent_indent=14 * " ") for name, text in rows.items())
+        notes = (textwrap.fill(f"Note: {note}", 80) for note in self.notes)
+        return "\n".join([f"{self.scenario}: {self.law}", "", *lines, *notes])
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON object, in which a missing value is null and no number is NaN or infinite."""
@@ -114,7 +132,7 @@ def certify(scenario: str | Scenario, law: str | FactorySpec | PolicySpec | type
     try:
         loop = sampled_loop(world, built)
     except NoClosedLoopError as error:
-        notes = (f"{error}: no rate, no digits and no largest step", *_scenario_notes(world))
+        notes = (f"{error}: no rate, no digits and no largest step", *_scenario_notes(world, built))
         return dataclasses.replace(certificate, notes=notes)
     prediction = _Prediction(world, built, loop)
     return dataclasses.replace(
@@ -125,7 +143,7 @@ def certify(scenario: str | Scenario, law: str | FactorySpec | PolicySpec | type
         digits_are_exact=prediction.is_linear and not (world.is_random or _faults(world) or prediction.deviations),
         largest_step=loop.largest_step,
         largest_stable_step=loop.largest_stable_step,
-        notes=(*prediction.notes(), *_scenario_notes(world, covers_range=prediction.is_linear)),
+        notes=(*prediction.notes(), *_scenario_notes(world, built, covers_range=prediction.is_linear)),
     )
 
 
@@ -138,7 +156,10 @@ def build_law(law: str | FactorySpec | PolicySpec | type[Law], world: World) -> 
     spec = _spec(law)
     built = spec.build(Encoder(world, spec.interface).layout)
     if not isinstance(built, Law):
-        raise ValueError(f"{spec.name!r} is no law, but a {type(built).__name__}; only laws have certificates")
+        kind = type(built).__name__
+        raise ValueError(
+            f"{spec.name!r} is no law, but a {kind}; only subclasses of ptne_env.laws.Law have certificates"
+        )
     return built
 
 
@@ -247,8 +268,8 @@ class _Prediction:
             yield f"the velocity g(t) u grows without bound as t → T, for r < {growth:.2g}{energy} (docs/errata.md, 3)"
 
 
-def _scenario_notes(world: World, *, covers_range: bool = False) -> Iterator[str]:
-    """Return the limits that hold for every law."""
+def _scenario_notes(world: World, law: Law, *, covers_range: bool = False) -> Iterator[str]:
+    """Return the limits that hold with and without a loop."""
     scenario, topology = world.scenario, world.topology
     if world.has_random_game:
         yield "the scenario draws games: the numbers are those of the typical game"
@@ -260,12 +281,19 @@ def _scenario_notes(world: World, *, covers_range: bool = False) -> Iterator[str
     if not topology.is_fixed and topology.clock == "physical" and not topology.is_random:
         switches = topology.switches(0.0, scenario.deadline).size
         frozen = topology.graphs[last_modes(topology, scenario.deadline)[0]]
-        failing = " and disconnected, so Assumption 2 fails in the transformed time of the proof (docs/errata.md, 2)"
+        failing = " and disconnected, so the graphs, jointly connected in t, are not in s, in which the proofs are"
         yield (
             f"the topology dwells in t: it switches {switches} times before T and its last graph is then frozen"
-            f"{failing * (not frozen.is_connected)}"
+            f"{failing * (not frozen.is_connected)} (docs/errata.md, 2)"
         )
-    elif not all(graph.is_connected for graph in topology.graphs):
+    elif all(graph.is_connected for graph in topology.graphs):
+        pass
+    elif isinstance(law, Grounded):
+        yield (
+            "a mode is disconnected: by the abstract of He and Huang (2022) the law converges for a small enough δ if "
+            "the graphs that act within every window of some length are connected together"
+        )
+    elif isinstance(law, Static | Adaptive):
         yield (
             "a mode is disconnected: nothing is proven of the paper's laws, which converge in Example 1 and diverge in "
             "other games that satisfy all assumptions (docs/errata.md, 2)"

@@ -84,54 +84,43 @@ def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
     n, players, slots = game.dimension, game.num_players, law.layout.slots
     neighbours = np.array(law.layout.neighbours)  # (N, D)
     weights = graph.adjacency[np.arange(players)[:, None], neighbours]
-    live = weights > 0
-    own = game.owners == np.arange(players)[:, None]
 
-    # Rows per player: n errors of its own estimate, D n messages, a mixture of all, a small one of all, and rest.
-    kinds, small = n + slots * n + 3, 2.0**-20
-    mixture = np.random.default_rng(0).uniform(0.5, 1.5, kinds - 3)
-    gradient, error = np.zeros((2, players, kinds, n))
-    relative = np.zeros((players, kinds, slots, n))
-    error[:, :n] = np.eye(n)
-    gradient[:, :n] = np.where(own[:, None], jacobian_at_equilibrium(game).T, 0.0)  # R_iᵀ dF_i, one error per row
-    relative[:, :n] = -np.eye(n)[:, None] * live[:, None, :, None]
-    messages = np.eye(slots * n).reshape(slots * n, slots, n)
-    relative[:, n:-3] = messages * live[:, None, :, None]
-    for probes in (gradient, error, relative):
-        probes[:, -3] = np.tensordot(mixture, probes[:, :-3], axes=(0, 1))
-        probes[:, -2] = small * probes[:, -3]
-
-    one, near = np.ones(kinds), [_NEAR * probes for probes in (error, gradient, relative)]
-    inputs = _respond(law, game, near, np.repeat(weights[:, None], kinds, axis=1), theta=one, dt=one) / _NEAR
-    mixed = np.tensordot(inputs[:, :-3], mixture, axes=(1, 0))
+    # What players see: an error of one component, a mixture of all, a small one of all, and rest.
+    kinds, small = (1 + slots) * n, 2.0**-20
+    mixture = np.random.default_rng(0).uniform(0.5, 1.5, kinds)
+    seen = _NEAR * np.vstack([np.eye(kinds), mixture, small * mixture, 0 * mixture])
+    seen = np.broadcast_to(seen.reshape(-1, 1 + slots, n), (players, kinds + 3, 1 + slots, n))
+    inputs = _respond(law, game, seen, weights[:, None], theta=np.ones(kinds + 3), dt=np.ones(kinds + 3)) / _NEAR
+    mixed = np.tensordot(inputs[:, :kinds], mixture, axes=(1, 0))
     wanted, scale = np.stack([mixed, small * mixed, 0 * mixed], axis=1), 1e-9 * (1 + np.abs(mixed).max())
-    if np.any(np.abs(wanted - inputs[:, -3:]).max(axis=(0, 2)) > scale * np.array([1, small, small])):
-        raise NoClosedLoopError(
-            f"{type(law).__name__} is not linear in gradient and differences, so it has no closed-loop matrix"
-        )
+    if np.any(np.abs(wanted - inputs[:, kinds:]).max(axis=(0, 2)) > scale * np.array([1, small, small])):
+        name = type(law).__name__
+        raise NoClosedLoopError(f"{name} is not linear in gradient and differences, so it has no closed-loop matrix")
 
     matrix = np.zeros((players, n, players, n))
     for i in range(players):
         matrix[i, :, i] = -inputs[i, :n].T
-        for slot in np.flatnonzero(live[i]):
+        for slot in np.flatnonzero(weights[i]):
             matrix[i, :, neighbours[i, slot]] -= inputs[i, n + slot * n : n + (slot + 1) * n].T
     return _restrict(matrix.reshape(players * n, -1), game)
 
 
-def _respond(law: Law, game: Game, probes: Sequence[FloatArray], weights: FloatArray, **times: Any) -> FloatArray:
+def _respond(law: Law, game: Game, seen: FloatArray, weights: FloatArray, **times: Any) -> FloatArray:
     """Return the inputs of R observations of each player, shape (N, R, n).
 
-    Probes are errors (N, R, n), gradients (N, R, n) and differences (N, R, D, n); weights are (N, R, D), times (R,).
+    Players see their own errors and then those in every slot, (N, R, 1 + D, n), with weights (N, R or 1, D); each time
+    has the shape (R,).
     """
-    error, gradient, relative = probes
-    players, rows, n = error.shape
+    players, rows, _, n = seen.shape
+    own, error = game.owners == np.arange(players)[:, None], seen[:, :, 0]
     player = np.repeat(np.arange(players), rows)
     blank = np.zeros((player.size, law.layout.size))
     blank[:, law.layout.slices["player"]] = np.eye(players)[player]
+    relative = (seen[:, :, 1:] - seen[:, :, :1]) * (weights > 0)[..., None]
     observation = law.layout.read(blank)._replace(
-        gradient=gradient.reshape(-1, n),
+        gradient=np.where(own[:, None], error @ jacobian_at_equilibrium(game).T, 0.0).reshape(-1, n),
         relative_estimates=relative.reshape(player.size, -1, n),
-        weights=weights.reshape(player.size, -1),
+        weights=np.broadcast_to(weights, relative.shape[:3]).reshape(player.size, -1),
         own_estimate=error.reshape(-1, n) + game.nash_equilibrium,
         **{name: np.tile(values, players)[:, None] for name, values in times.items()},
     )
@@ -160,7 +149,7 @@ def spectral_abscissa(matrix: FloatArray) -> float:
 def decay_rate(
     matrices: Sequence[FloatArray], topology: SwitchingTopology, deadline: float, clock: LoopClock = "effective"
 ) -> float:
-    """Return the rate r of the error of dx = −M x, which decays like e^{−r s} as t → T, or e^{−r t} on the clock t.
+    """Return the rate r of the error of dx = −M x, which decays like e^{−r τ} as t → T, or e^{−r t} on the clock t.
 
     ``matrices`` are the M of the modes of a topology that is not random; T is the deadline in seconds.
 
@@ -295,19 +284,16 @@ def follows(law: Law, world: World, loop: SampledLoop, errors: FloatArray) -> bo
     If they are at ``loop.errors(start)``, the episode from this start is the loop, by induction.
     """
     clock, game = world.clock, world.game
-    own, free = game.owners == np.arange(game.num_players)[:, None], _is_free(game)
-    neighbours, players = np.array(law.layout.neighbours), np.arange(game.num_players)
-    adjacency = np.array([graph.adjacency[players[:, None], neighbours] for graph in world.topology.graphs])
-    parts = len(errors) * own.size * law.layout.slots // 2**22 + 1  # each of which fits in memory
+    players, n, free = game.num_players, game.dimension, _is_free(game)
+    neighbours, everyone = np.array(law.layout.neighbours), np.arange(players)[:, None]
+    adjacency = np.array([graph.adjacency[everyone, neighbours] for graph in world.topology.graphs])
+    parts = len(errors) * neighbours.size * n // 2**22 + 1  # each of which fits in memory
     for part in np.array_split(np.arange(len(errors)), parts):
-        modes, theta, error = loop.modes[part], clock.theta[part], np.zeros((part.size, own.size))
+        modes, theta, error = loop.modes[part], clock.theta[part], np.zeros((part.size, players * n))
         error[:, free] = errors[part]
-        error = error.reshape(-1, *own.shape).swapaxes(0, 1)
-        weights = adjacency[modes].swapaxes(0, 1)
-        relative = (error[neighbours] - error[:, None]).swapaxes(1, 2) * (weights > 0)[..., None]
-        gradient = np.where(own[:, None], error @ jacobian_at_equilibrium(game).T, 0.0)
+        seen = error.reshape(-1, players, n)[:, np.hstack([everyone, neighbours])].swapaxes(0, 1)
         times = {"dt": clock.dt[part], "elapsed": clock.t[part] / clock.deadline, "transformed": clock.s[part]}
-        inputs = _respond(law, game, (error, gradient, relative), weights, theta=theta, **times)
+        inputs = _respond(law, game, seen, adjacency[modes].swapaxes(0, 1), theta=theta, **times)
         moves = np.einsum("kij,kj->ki", np.array(loop.matrices)[modes], errors[part])
         ratio = (loop.steps[part] / theta)[:, None]
         off = np.abs(inputs.swapaxes(0, 1).reshape(part.size, -1)[:, free] + ratio * moves)

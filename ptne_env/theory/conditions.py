@@ -9,12 +9,13 @@ your own is one more entry::
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
+from ptne_env.evaluation.metrics import number
 from ptne_env.laws import (
     Adaptive,
     AdaptiveGrounded,
@@ -42,6 +43,7 @@ class Condition:
         bound: the number that it is compared with; infinite where no number would do.
         holds: whether the scenario meets the condition.
         exact: whether the numbers are exact; otherwise they come from samples or a linearisation and prove nothing.
+        theorem: the theorem, by its number in the paper, its authors, or the page that proves it.
     """
 
     name: str
@@ -49,6 +51,12 @@ class Condition:
     bound: float
     holds: bool
     exact: bool = True
+    theorem: str = ""
+
+    def __str__(self) -> str:
+        verdict = "holds" if self.holds else "fails (sufficient, not necessary)"
+        theorem = f"{self.theorem}: " * bool(self.theorem)
+        return f"{theorem}{self.name}; {number(self.value)} against {number(self.bound)}: {verdict}"
 
     @classmethod
     def above(cls, name: str, value: float, bound: float, *, exact: bool = True) -> Condition:
@@ -61,9 +69,10 @@ class Condition:
         return cls(name, float(value), float(bound), bool(value < bound), exact)
 
 
-def decisive(*conditions: Condition) -> Condition:
-    """Return the condition that decides whether all of them hold: the first that fails, or else the last."""
-    return next((condition for condition in conditions if not condition.holds), conditions[-1])
+def decisive(theorem: str, *conditions: Condition) -> Condition:
+    """Return the condition that decides whether a theorem holds: the first that fails, or else the last."""
+    deciding = next((condition for condition in conditions if not condition.holds), conditions[-1])
+    return replace(deciding, theorem=theorem)
 
 
 def _strongly_monotone(constants: ProblemConstants) -> Condition:
@@ -79,7 +88,8 @@ def _fixed_graph(constants: ProblemConstants) -> Condition:
 
 
 def _undirected(constants: ProblemConstants) -> Condition:
-    return Condition.below("links are undirected: number of directed graphs < 1", constants.directed_graphs, 1)
+    count = constants.directed_graphs
+    return Condition("all links are undirected: number of directed graphs = 0", count, 0, holds=count == 0)
 
 
 def _all_links_recur(constants: ProblemConstants) -> Condition:
@@ -90,7 +100,8 @@ def _all_links_recur(constants: ProblemConstants) -> Condition:
 
 def _gain_condition(kappa: float, constants: ProblemConstants) -> Condition:
     bound = gain_bound(constants, constants.connectivity)
-    return Condition.above("κ > (ι²/ε + ι)/λ2", kappa, bound, exact=constants.exact)
+    name = f"κ > (ι²/ε + ι)/λ{'' if constants.directed_graphs else '2'}"
+    return Condition.above(name, kappa, bound, exact=constants.exact)
 
 
 # --- the condition of each law ---------------------------------------------------------------------------------------
@@ -100,10 +111,12 @@ def static_condition(law: Static, constants: ProblemConstants) -> Condition:
     """κ > (ι²/ε + ι)/λ2, eq. (15) of the paper; with scaled costs, κ divided by the gradient gain.
 
     It is the condition of Corollary 1 too, whose convergence is asymptotic, not by the deadline. On one directed graph
-    it is ours, with the λ2 of :attr:`~ptne_env.world.graphs.Graph.algebraic_connectivity` (docs/mathematics.md).
+    it is ours, with the λ of :attr:`~ptne_env.world.graphs.Graph.algebraic_connectivity` (docs/mathematics.md).
     """
     gain = _gain_condition(law.kappa / law.gradient_gain, constants)
-    return decisive(_fixed_graph(constants), gain) if constants.directed_graphs else gain
+    if constants.directed_graphs:
+        return decisive("directed graphs (docs/mathematics.md)", _fixed_graph(constants), gain)
+    return decisive("Corollary 1" if isinstance(law, CorollaryOne) else "Theorem 1", gain)
 
 
 def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
@@ -112,7 +125,8 @@ def adaptive_condition(law: Adaptive, constants: ProblemConstants) -> Condition:
     Joint connectivity, as in Theorem 4, is not enough (docs/errata.md, 2).
     """
     connected = Condition.above("every mode is connected: λ2 > 0", constants.connectivity, 0.0)
-    return decisive(_undirected(constants), _adapting_gains(law), connected, _strongly_monotone(constants))
+    theorem = "Theorem 3" if len(constants.graphs) == 1 else "Theorem 4 as corrected (docs/errata.md, 2)"
+    return decisive(theorem, _undirected(constants), _adapting_gains(law), connected, _strongly_monotone(constants))
 
 
 def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
@@ -128,7 +142,8 @@ def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
         cross = constants.iota_estimates + others * constants.iota_strategies
         bound = (cross**2 / (4 * constants.epsilon) + others * constants.iota_estimates) / grounded
     name = f"κ/δ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, λ = {grounded:.3g}"
-    return Condition.above(name, law.kappa / law.gradient_gain, bound, exact=constants.exact)
+    gain = Condition.above(name, law.kappa / law.gradient_gain, bound, exact=constants.exact)
+    return decisive("Ye and Hu (2017)", gain)
 
 
 def _grounded_connectivity(constants: ProblemConstants) -> float:
@@ -146,8 +161,8 @@ def _grounded_connectivity(constants: ProblemConstants) -> float:
 
 def adaptive_grounded_condition(law: AdaptiveGrounded, constants: ProblemConstants) -> Condition:
     """γ > 0, ε > 0, a fixed undirected graph, as H, the grounded Laplacian, is in V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
-    is_fixed = decisive(_undirected(constants), _fixed_graph(constants))
-    return decisive(_adapting_gains(law), is_fixed, _strongly_monotone(constants))
+    needed = _adapting_gains(law), _undirected(constants), _fixed_graph(constants), _strongly_monotone(constants)
+    return decisive("Ye and Hu (2021)", *needed)
 
 
 def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConstants) -> Condition:
@@ -157,8 +172,6 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
     (‖consensus error‖, ‖disagreement‖)², with σ the largest ‖I − h L − 11ᵀ/N‖ over the modes, the factor by which
     mixing shrinks disagreement; it is 1 as soon as a mode is disconnected. W keeps the mean on undirected graphs.
     """
-    if constants.epsilon <= 0 or constants.directed_graphs:
-        return decisive(_undirected(constants), _strongly_monotone(constants))
     alpha, players = law.step, constants.num_players
     iota_strategies, iota = constants.iota_strategies, constants.iota_estimates
     mixed = [np.eye(players) - law.mixing * graph.laplacian - 1 / players for graph in constants.graphs]
@@ -166,7 +179,8 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
     mean = 1 - 2 * alpha * constants.epsilon / players + (alpha * iota_strategies) ** 2 / players
     cross = alpha * sigma * (iota + iota_strategies + alpha * iota * iota_strategies) / np.sqrt(players)
     contraction = np.array([[mean, cross], [cross, sigma**2 * (1 + alpha * iota) ** 2]])
-    return Condition.below("λ_max(M_α) < 1", float(np.linalg.eigvalsh(contraction)[-1]), 1.0, exact=constants.exact)
+    shrinks = Condition.below("λ_max(M_α) < 1", np.linalg.eigvalsh(contraction)[-1], 1.0, exact=constants.exact)
+    return decisive("Bianchi and Grammatico (2021)", _undirected(constants), _strongly_monotone(constants), shrinks)
 
 
 def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Condition:
@@ -179,7 +193,7 @@ def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Conditi
         radius = _delayed_play_radius(constants.jacobian, delays, law.step)
     name = "gradient play with delays settles: ρ < 1"
     settles = Condition.below(name, radius, 1.0, exact=constants.exact)
-    return decisive(_fixed_graph(constants), _strongly_monotone(constants), settles)
+    return decisive("docs/theory.md, laws that copy", _fixed_graph(constants), _strongly_monotone(constants), settles)
 
 
 def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -> Condition:
@@ -190,6 +204,7 @@ def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -
     strongly monotone, and 𝐱 converges linearly where I + W is positive definite.
     """
     return decisive(
+        "Bianchi, Belgioioso and Grammatico (2019)",
         _undirected(constants),
         _fixed_graph(constants),
         Condition.below("W is stochastic: h max Σ_j a_ij < 1", law.mixing * constants.largest_degree, 1.0),
@@ -205,6 +220,7 @@ def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # no
     """
     radius = coupling_radius(constants.jacobian, constants.owners)
     return decisive(
+        "Bertsekas and Tsitsiklis (1989)",
         _strongly_monotone(constants),
         _all_links_recur(constants),
         Condition.below("ρ(B) < 1, B_ij = ‖G_ii⁻¹ G_ij‖", radius, 1.0, exact=constants.exact),

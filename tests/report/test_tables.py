@@ -9,7 +9,7 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from ptne_env import PolicySpec, evaluate, get_scenario, laws, theory
+from ptne_env import PolicySpec, evaluate
 from ptne_env.evaluation import METRICS, get_policy_spec
 from ptne_env.evaluation.metrics import number
 from ptne_env.evaluation.statistics import Summary
@@ -19,7 +19,6 @@ from ptne_env.report.tables import (
     Cell,
     answer,
     answer_table,
-    certificate_tables,
     first_places,
     leaders,
     text_table,
@@ -219,19 +218,6 @@ def test_the_table_of_a_verification_shows_every_verdict(width):
     assert len(table.notes) == 12
     assert table.notes[-2] == "The file differs: 2 more numbers or texts"
     written(draw_table(table, width), width)
-
-
-@pytest.mark.parametrize("width", [80, 120])
-def test_a_certificate_shows_what_decides(width):
-    certificate = theory.certify(get_scenario("energy"), law=laws.Static)
-    assumptions, predictions = certificate_tables(certificate)
-    text = written(draw_table(assumptions, width), width) + written(draw_table(predictions, width), width)
-    words = " ".join(text.split())
-    for expected in ("Assumption 4", "holds", "0.280", "fails (sufficient, not necessary)", "exact"):
-        assert expected in words
-    without = certificate_tables(theory.certify(get_scenario("energy"), law=laws.Oracle))[1]
-    assert not any("rate" in row for row in without.rows)
-    assert without.notes
 
 
 def test_words_are_wrapped_and_no_column_is_lost():

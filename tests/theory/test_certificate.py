@@ -58,6 +58,20 @@ def test_certificate_of_the_energy_scenario():
     assert "velocity g(t) u grows without bound as t → T, for r < 1; the control energy is infinite" in velocity
 
 
+def test_a_certificate_prints_as_a_table_that_shows_what_decides():
+    lines = str(theory.certify(get_scenario("energy"), "static")).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert lines[0] == "energy: static(kappa=2.0)"
+    words = " ".join(" ".join(lines).split())
+    assert "Assumption 4 holds: F is strongly monotone" in words
+    assert "Theorem 1: κ > (ι²/ε + ι)/λ2; 2.00 against 4.21: fails (sufficient, not necessary)" in words
+    assert "rate r 0.280, error ~ e^(−r τ), τ = s + c t" in words
+    assert "4.10 (not exact, see the notes)" in words
+    without = str(theory.certify(get_scenario("energy"), laws.Oracle))
+    assert "rate r" not in without
+    assert "Note: Oracle reads" in without
+
+
 def a_calm_scenario(rng):
     """A scenario in which nothing is random, and nothing disturbs but, at times, the range of links."""
     players, modes, reach = rng.randint(2, 6), rng.randint(1, 3), fuzz.log_uniform(rng, 1e-2, 1e4)
@@ -217,7 +231,8 @@ def test_certificate_tells_of_a_frozen_graph():
     certificate = theory.certify(get_scenario("energy-switching"))
     assert [check.verdict for check in certificate.assumptions[1:3]] == ["fails", "holds"]
     assert certificate.rate == 0.0
-    assert any("11 times before T and its last graph is then frozen and disconn" in note for note in certificate.notes)
+    told = "11 times before T and its last graph is then frozen and disconnected, so the graphs, jointly connected in t"
+    assert any(told in note for note in certificate.notes)
 
 
 def test_the_counterexample_of_theorem_4_is_not_certified():
@@ -234,6 +249,15 @@ def test_the_counterexample_of_theorem_4_is_not_certified():
     assert not certificate.condition.holds
     assert any("nothing is proven of the paper's laws" in note for note in certificate.notes)
     assert certificate.rate < 0
+
+
+@pytest.mark.parametrize(
+    ("law", "phrase"), [("static", "of the paper's laws"), ("leader-estimator", "He and Huang"), ("relay", None)]
+)
+def test_what_a_disconnected_mode_means_depends_on_the_law(law, phrase):
+    notes = theory.certify(get_scenario("energy-switching-transformed"), law).notes
+    told = [note for note in notes if "a mode is disconnected" in note]
+    assert [phrase in note for note in told] == [True] * (phrase is not None)
 
 
 def test_random_graphs_are_jointly_connected_within_no_fixed_time():
@@ -329,7 +353,7 @@ def test_a_law_is_named_in_many_ways(law):
 
 
 def test_a_policy_that_is_no_law_and_a_scenario_that_is_none_are_refused():
-    with pytest.raises(ValueError, match="is no law, but a RandomPolicy; only laws have certificates"):
+    with pytest.raises(ValueError, match=r"is no law, but a RandomPolicy; only subclasses of ptne_env\.laws\.Law have"):
         theory.certify(get_scenario("energy"), "law:random")
     with pytest.raises(TypeError, match="a scenario is a name or a Scenario, such as env.scenario .*; got a int"):
         theory.certify(3)

@@ -101,6 +101,7 @@ def test_the_law_of_ye_and_hu_with_gains_that_adapt_is_proven_on_fixed_graphs_al
 def test_every_theorem_has_its_condition_on_every_scenario(law, scenario):
     condition = condition_on(scenario, law)
     assert condition.name
+    assert condition.theorem
     assert condition.holds in (True, False)
     if scenario == "non-quadratic":
         assert not condition.holds  # F is not monotone there
@@ -175,6 +176,14 @@ def test_on_directed_graphs_only_laws_with_a_proof_of_their_own_have_a_condition
     certificate = theory.certify(scenario, law)
     assert [check.verdict for check in certificate.assumptions[1:3]] == ["fails"] * 2
     assert any("links are directed: the paper's theorems do not cover" in note for note in certificate.notes)
+
+
+def test_conditions_name_their_theorem():
+    theorems = {law: condition_on("energy", law).theorem for law in (laws.Static, laws.CorollaryOne, laws.Adaptive)}
+    assert list(theorems.values()) == ["Theorem 1", "Corollary 1", "Theorem 3"]
+    assert condition_on("energy-switching", laws.Adaptive).theorem.startswith("Theorem 4 as corrected")
+    directed = condition_on(DIRECTED, laws.Static)
+    assert (directed.theorem, directed.name) == ("directed graphs (docs/mathematics.md)", "κ > (ι²/ε + ι)/λ")
 
 
 def test_the_gain_of_the_static_law_is_proven_on_one_directed_graph_and_not_on_several():
