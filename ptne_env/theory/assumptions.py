@@ -103,8 +103,8 @@ def _check_lemma(world: World) -> AssumptionCheck:
         remaining = check_time_transformation(world.clock.transformation)
     except LemmaViolationError as error:
         return AssumptionCheck("Lemma 1", f"{statement} ({error})", None, meaning, "fails")
-    is_reached = remaining <= _LIMIT_TOLERANCE
-    return AssumptionCheck("Lemma 1", statement, remaining, meaning, "holds" if is_reached else "sampled only")
+    verdict: Verdict = "holds" if remaining <= _LIMIT_TOLERANCE else "sampled only"
+    return AssumptionCheck("Lemma 1", statement, remaining, meaning, verdict)
 
 
 def _judge_convexity(game: Game) -> tuple[float, str, Verdict]:
@@ -147,6 +147,7 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
         last = np.flatnonzero(valid)[-1] if valid.any() else 0
         error = float(np.max(np.abs(transformation.inverse(time) - grid)))
     still = f"T − λ(s) is still {remaining[last] * deadline:.3g} s at s = {far[last]:g}"
+    slope = f"λ'(s) is still {slopes[last] * deadline:.3g} at s = {far[last]:g}"
     falls = 0 < remaining[last] < 0.99 * remaining[last - 1]  # where only the first is finite, the other is NaN
     rises = np.all(np.diff(time) > 0) and np.all(transformation.derivative(_GRID) > 0) and not np.any(slopes[valid] < 0)
     conditions = (
@@ -159,11 +160,7 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
         ("(7a) λ is differentiable with derivative λ'", mismatch <= 1e-5 * deadline, f"off by {mismatch:.3g} s"),
         ("(7b) λ is strictly increasing", rises, "λ decreases or stalls on [0, 6], or λ' is negative further out"),
         ("(7c) λ(s) → T", abs(remaining[last]) <= _LIMIT_TOLERANCE or falls, still),
-        (
-            "(7c) λ'(s) → 0",
-            abs(slopes[last]) <= _LIMIT_TOLERANCE,
-            f"λ'(s) is still {slopes[last] * deadline:.3g} at s = {far[last]:g}",
-        ),
+        ("(7c) λ'(s) → 0", abs(slopes[last]) <= _LIMIT_TOLERANCE, slope),
         ("λ^{-1}(λ(s)) = s", error <= 1e-6, f"off by {error:.3g}"),
     )
     for condition, holds, evidence in conditions:

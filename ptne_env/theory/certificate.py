@@ -26,6 +26,7 @@ from ptne_env.theory.closed_loop import (
     distance,
     follows,
     gain_growth,
+    largest_stable_step,
     sampled_loop,
 )
 from ptne_env.theory.conditions import Condition, condition
@@ -141,8 +142,8 @@ def certify(scenario: str | Scenario, law: str | FactorySpec | PolicySpec | type
         rate=prediction.rate,
         digits=prediction.digits,
         digits_are_exact=prediction.is_linear and not (world.is_random or _faults(world) or prediction.deviations),
-        largest_step=loop.largest_step,
-        largest_stable_step=loop.largest_stable_step,
+        largest_step=prediction.largest_step,
+        largest_stable_step=prediction.largest_stable_step,
         notes=(*prediction.notes(), *_scenario_notes(world, built, covers_range=prediction.is_linear)),
     )
 
@@ -157,9 +158,7 @@ def build_law(law: str | FactorySpec | PolicySpec | type[Law], world: World) -> 
     built = spec.build(Encoder(world, spec.interface).layout)
     if not isinstance(built, Law):
         kind = type(built).__name__
-        raise ValueError(
-            f"{spec.name!r} is no law, but a {kind}; only subclasses of ptne_env.laws.Law have certificates"
-        )
+        raise ValueError(f"{spec.name!r} is no law, but a {kind}: for a certificate subclass ptne_env.laws.Law")
     return built
 
 
@@ -192,8 +191,11 @@ class _Prediction:
 
     def __init__(self, world: World, law: Law, loop: SampledLoop) -> None:
         self.world, self.law, self.loop = world, law, loop
-        game, topology, stable = world.game, world.topology, loop.largest_stable_step
-        self.amplifies = stable is not None and loop.largest_step >= stable  # errors, and so what is rounded
+        game, topology, stable = world.game, world.topology, [largest_stable_step(each) for each in loop.matrices]
+        self.largest_step = float(loop.steps.max())
+        self.largest_stable_step = None if None in stable else min(filter(None, stable))
+        # Errors, and so what is rounded.
+        self.amplifies = self.largest_stable_step is not None and self.largest_step >= self.largest_stable_step
         self.rate: float | None = None
         if not topology.is_random:
             self.rate = decay_rate(loop.matrices, topology, world.scenario.deadline, loop.clock)
@@ -286,18 +288,15 @@ def _scenario_notes(world: World, law: Law, *, covers_range: bool = False) -> It
             f"the topology dwells in t: it switches {switches} times before T and its last graph is then frozen"
             f"{failing * (not frozen.is_connected)} (docs/errata.md, 2)"
         )
-    elif all(graph.is_connected for graph in topology.graphs):
-        pass
-    elif isinstance(law, Grounded):
-        yield (
-            "a mode is disconnected: by the abstract of He and Huang (2022) the law converges for a small enough δ if "
-            "the graphs that act within every window of some length are connected together"
+    elif isinstance(law, Grounded | Static | Adaptive) and not all(graph.is_connected for graph in topology.graphs):
+        known = (
+            "the law converges for a small enough δ if F is strongly monotone and the graphs that act within every "
+            "window of some length are connected together (He and Huang, 2022, by its abstract)"
+            if isinstance(law, Grounded)
+            else "nothing is proven of the paper's laws, which converge in Example 1 and diverge in other games that "
+            "satisfy all assumptions (docs/errata.md, 2)"
         )
-    elif isinstance(law, Static | Adaptive):
-        yield (
-            "a mode is disconnected: nothing is proven of the paper's laws, which converge in Example 1 and diverge in "
-            "other games that satisfy all assumptions (docs/errata.md, 2)"
-        )
+        yield f"a mode is disconnected: {known}"
     for fault in _faults(world):
         yield f"no number includes {fault}"
     if world.message_range < math.inf and not covers_range:

@@ -80,7 +80,15 @@ def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
         NoClosedLoopError: for a law that is not linear in gradient and differences near x*, reads more than these and
             its own estimate, or remembers more than gains.
     """
-    _require_loop(law)
+    name, unknown = type(law).__name__, sorted(set(law.needs) - {"own_estimate"})
+    if (type(law).decide, type(law).predict) != (Law.decide, Law.predict):
+        raise NoClosedLoopError(f"{name} overrides decide or predict; closed loops are of what Law.inputs returns")
+    if unknown:
+        raise NoClosedLoopError(
+            f"{name} reads {', '.join(unknown)}; closed loops are of laws that act on gradient and differences alone"
+        )
+    if law.has_memory and law.gains(law.initial_memory(law.layout.num_players)) is None:
+        raise NoClosedLoopError(f"{name} remembers more than gains, so it has no closed-loop matrix")
     n, players, slots = game.dimension, game.num_players, law.layout.slots
     neighbours = np.array(law.layout.neighbours)  # (N, D)
     weights = graph.adjacency[np.arange(players)[:, None], neighbours]
@@ -94,7 +102,6 @@ def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
     mixed = np.tensordot(inputs[:, :kinds], mixture, axes=(1, 0))
     wanted, scale = np.stack([mixed, small * mixed, 0 * mixed], axis=1), 1e-9 * (1 + np.abs(mixed).max())
     if np.any(np.abs(wanted - inputs[:, kinds:]).max(axis=(0, 2)) > scale * np.array([1, small, small])):
-        name = type(law).__name__
         raise NoClosedLoopError(f"{name} is not linear in gradient and differences, so it has no closed-loop matrix")
 
     matrix = np.zeros((players, n, players, n))
@@ -125,19 +132,6 @@ def _respond(law: Law, game: Game, seen: FloatArray, weights: FloatArray, **time
         **{name: np.tile(values, players)[:, None] for name, values in times.items()},
     )
     return law.inputs(observation, law.initial_memory(player.size))[0].reshape(players, rows, n)
-
-
-def _require_loop(law: Law) -> None:
-    """Raise ``NoClosedLoopError`` for a law that reads or remembers more than a loop has."""
-    name, unknown = type(law).__name__, sorted(set(law.needs) - {"own_estimate"})
-    if type(law).decide is not Law.decide:
-        raise NoClosedLoopError(f"{name} overrides decide; closed loops are of what Law.inputs returns")
-    if unknown:
-        raise NoClosedLoopError(
-            f"{name} reads {', '.join(unknown)}; closed loops are of laws that act on gradient and differences alone"
-        )
-    if law.has_memory and law.gains(law.initial_memory(law.layout.num_players)) is None:
-        raise NoClosedLoopError(f"{name} remembers more than gains, so it has no closed-loop matrix")
 
 
 def spectral_abscissa(matrix: FloatArray) -> float:
@@ -224,20 +218,6 @@ class SampledLoop:
     modes: IntArray
     steps: FloatArray
     clock: LoopClock
-
-    @property
-    def largest_step(self) -> float:
-        """The largest h_k."""
-        return float(self.steps.max())
-
-    @property
-    def largest_stable_step(self) -> float | None:
-        """The smallest one over the modes; ``None`` where every step on some mode amplifies an error.
-
-        Products of the steps of several modes may still be unstable.
-        """
-        stable = [largest_stable_step(matrix) for matrix in self.matrices]
-        return None if None in stable else min(step for step in stable if step is not None)
 
     def errors(self, start: FloatArray) -> FloatArray:
         """Return the error **x** − 1⊗x* at every instant.

@@ -214,7 +214,6 @@ class World:
 
     def _doubts(self) -> Iterator[str]:
         """Yield why results may mean little: the last step ends early, or the paper's theorems do not hold."""
-        needed = "which the paper's theorems need: a law may fail; 'ptne certify' checks all they assume"
         if self.clock.shortfall > SHORTFALL_WARNING:
             short = f"{self.clock.shortfall:.2%}"
             yield f"the last step ends {short} of T short of the deadline; raise s_end to come closer"
@@ -228,6 +227,7 @@ class World:
             jacobian = self.game.jacobian(np.zeros((self.game.dimension, 1)))[..., 0]
             smallest = float(np.linalg.eigvalsh((jacobian + jacobian.T) / 2)[0])
             if smallest < -1e-9 * np.abs(jacobian).max():
+                needed = "which the paper's theorems need: a law may fail; 'ptne certify' checks all they assume"
                 yield f"F is not monotone (ε = {smallest:.3g}), {needed}"
 
     def _tabulate_neighbours(self) -> None:

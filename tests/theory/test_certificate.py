@@ -188,7 +188,7 @@ def test_the_rate_is_that_of_late_errors():
         (Damped, "the gains of Damped depend on time, so it has another loop in every step"),
         (Late, "the gains of Late depend on time"),
         (Gated, "the gains of Gated depend on time"),
-        (Rewritten, "overrides decide"),
+        (Rewritten, "overrides decide or predict"),
     ],
 )
 def test_a_law_without_a_closed_loop_gets_no_numbers_of_one(law, phrase):
@@ -353,7 +353,7 @@ def test_a_law_is_named_in_many_ways(law):
 
 
 def test_a_policy_that_is_no_law_and_a_scenario_that_is_none_are_refused():
-    with pytest.raises(ValueError, match=r"is no law, but a RandomPolicy; only subclasses of ptne_env\.laws\.Law have"):
+    with pytest.raises(ValueError, match=r"is no law, but a RandomPolicy: .* subclass ptne_env\.laws\.Law"):
         theory.certify(get_scenario("energy"), "law:random")
     with pytest.raises(TypeError, match="a scenario is a name or a Scenario, such as env.scenario .*; got a int"):
         theory.certify(3)
