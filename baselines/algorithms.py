@@ -1,8 +1,8 @@
 """The algorithms of reinforcement learning, trained on every track: ``python -m baselines.algorithms COMMAND``.
 
     tune [ALGORITHM]...     20 settings of each algorithm, for 5 M agent-steps on two tracks, beside the defaults
-    train [ALGORITHM]...    the defaults with five seeds on every track of ptne-v1, for 20 M agent-steps, and for 50 M
-                            where the last fifth of those gained 0.05 digits or more in the mean over seeds
+    train [ALGORITHM]...    the defaults with five seeds on every track of ptne-v1, for 20 M agent-steps, or for 50 M
+                            where the last fifth of those gained 0.05 digits or more
     table                   play what was trained on the test episodes, and write ``algorithms.csv``
     ship                    replace the shipped files by the seeds with the most digits on validation episodes
 
@@ -104,21 +104,31 @@ def is_trained(folder: Path) -> bool:
 
 
 def gain(folder: Path) -> float:
-    """The digits that the last fifth of the runs in a folder gained, as the mean over seeds."""
-    return fmean(last_gain(run) for run in sorted(folder.glob("seed-*")))
+    """The digits that the last fifth of the runs in a folder gained, as the mean over those that have ended, or 0."""
+    return fmean([last_gain(summary.parent) for summary in sorted(folder.glob("seed-*/summary.json"))] or [0.0])
 
 
 def train(algorithms: Sequence[str], out: Path, jobs: int) -> None:
-    """Train the seeds of algorithms on all tracks, longer where they are not flat."""
-    for steps, longer in zip(BUDGETS, (False, True), strict=True):
-        runs = [
-            (track, algorithm, folder_of(algorithm, track, steps, out) / f"seed-{seed}", {"steps": steps, "seed": seed})
-            for seed in SEEDS
+    """Train the seeds of algorithms on all tracks: seed 0 tells where the small budget does not do, or all five."""
+    for seeds in (SEEDS[:1], SEEDS, SEEDS):
+        budgets = {
+            (track, algorithm): BUDGETS[gain(folder_of(algorithm, track, BUDGETS[0], out)) >= FLAT]
             for algorithm in algorithms
             for track in TRACKS
-            if not longer or gain(folder_of(algorithm, track, BUDGETS[0], out)) >= FLAT
-        ]
-        train_all(runs, jobs)
+        }
+        train_all(
+            [
+                (
+                    track,
+                    algorithm,
+                    folder_of(algorithm, track, steps, out) / f"seed-{seed}",
+                    {"steps": steps, "seed": seed},
+                )
+                for seed in seeds
+                for (track, algorithm), steps in sorted(budgets.items(), key=lambda item: item[1])
+            ],
+            jobs,
+        )
 
 
 def trained(out: Path) -> Iterator[tuple[str, str, Path]]:
