@@ -63,11 +63,12 @@ def train_one(track: str, algorithm: str, out: Path, **settings: float) -> float
     """Train in this process, write down the seconds of its core, and return the digits on validation episodes."""
     began, record = process_time(), out / "core-seconds.json"
     configuration = Configuration(f"ptne-v1/{track}", algorithm, **settings)  # type: ignore[arg-type]  # by name
-    digits = float(TRAINERS[algorithm].load().train(configuration, out).digits)
-    if not record.exists():
-        record.write_text(json.dumps(process_time() - began))
-    print(f"{out}: {digits:.2f} digits, {json.loads(record.read_text()):.0f} s", flush=True)
-    return digits
+    summary = TRAINERS[algorithm].load().train(configuration, out)
+    if not record.exists():  # a resumed run counts what its last part took, as if all parts were as fast
+        share = 1 - summary.resumed_at / summary.agent_steps
+        record.write_text(json.dumps((process_time() - began) / share))
+    print(f"{out}: {summary.digits:.2f} digits, {json.loads(record.read_text()):.0f} s", flush=True)
+    return float(summary.digits)
 
 
 def train_all(runs: Sequence[tuple[str, str, Path, dict[str, float]]], jobs: int) -> list[float]:
