@@ -362,15 +362,15 @@ Outside of its family the first fails:
 
 ## One file for all tracks
 
-Trained in worlds of which none is of a suite, with at most 12 players, in three stages, of which each goes on from the
+Trained in worlds of which none is of a suite, but most are like a track, with other numbers, often on both sides of its
+own; they have at most 12 players. In all it is 45 million agent-steps, in three stages, of which each goes on from the
 weights of the one before: 1,200 updates from random weights in 34 worlds (65 minutes of one core), 220 in 37, of which
 the new ones have strangers, or a ring of players with four components (20 minutes), and 120 in 38 at a lower rate, with
 five seeds (12 minutes each). The file is the best of these seeds in training; ± is the standard deviation over them.
 Seeds of the first stage differ more: on 30 validation episodes per track, 0 and 1 have 0.94 and 0.91 of the best law's
 digits, and 0.84 and 0.58 among 50 players. All stages with seed 1 have 0.95 and 0.98 where the file has 0.96 and 0.92,
 and differ from it most on `strangers` (2.87 and 3.21 digits). The recipe repeats these stages, but the second was of
-seed 20, and without the world `wide`. PPO is `ppo-ptne-v1`, trained on `nominal` for
-5,000,000 agent-steps.
+seed 20, and without the world `wide`. PPO is `ppo-ptne-v1`, trained on `nominal` for 5,000,000 agent-steps.
 
 {2}
 

@@ -53,7 +53,7 @@ _COMPARED = {
 }
 _OTHERS = {
     "ppo-ptne-v1": _network("ptne-v1"),
-    "recurrent-random-worlds": _recurrent("random-worlds", "in 38 worlds outside of the suites"),
+    "recurrent-random-worlds": _recurrent("random-worlds", "in 38 worlds like the tracks, with other numbers"),
     "static-tuned": ("The static law with tuned weights.", part("law:static", kappa=2.2, gradient_gain=2.94)),
     "adaptive-grounded": (
         "Ye and Hu's adaptive law: the grounded law, with gains that every player tunes by itself.",
