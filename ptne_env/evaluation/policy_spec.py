@@ -7,7 +7,7 @@ import glob
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from inspect import signature
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -144,8 +144,8 @@ class PolicySpec:
 
         Raises:
             LayoutError: when the policy was made for another layout, or has one file per track, and none for this one.
-            PolicyError: when building it raises any other error, what was built has no ``predict``, or it sends code
-                and the source does not say so.
+            PolicyError: when building it raises any other error, what was built has no ``predict`` or acts through
+                another interface, or it sends code and the source does not say so.
         """
         source = self.training_seeds[training_seed]
         if by_track := _files_by_track(source):
@@ -167,6 +167,13 @@ class PolicySpec:
         if not hasattr(built, "predict"):
             made = "it is" if built is source else "called with the layout, it returned"
             raise PolicyError(f"{made} a {type(built).__name__} without predict(observation, state, ...)")
+        theirs = _as_interface(getattr(built, "interface", None))
+        if theirs not in (None, self.interface):
+            raise PolicyError(
+                f"called with the layout, it returned a {type(built).__name__}, which acts through {theirs} and not "
+                f"through {self.interface}: give it by name, as 'static(kappa=4)', or as a class or "
+                "functools.partial(class, ...), or with its interface, as PolicySpec(name, function, interface)"
+            )
         if getattr(built, "sends_code", False) and not _declared(source, "sends_code"):
             raise PolicyError(
                 f"called with the layout, it returned a {type(built).__name__}, whose messages are no estimates: so "
@@ -221,6 +228,7 @@ def _declared(source: PolicySource, attribute: str) -> Any:
     if isinstance(source, FactorySpec):
         source = next(iter(_files_by_track(source).values()), source)
         policy = source.build() if format_of(source) else resolve(source.target)
+    policy = policy.func if isinstance(policy, partial) else policy
     return getattr(policy, attribute, None)
 
 

@@ -1,5 +1,6 @@
 """Entries: policies by name, file, address and pattern, and what a spec may declare."""
 
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -149,6 +150,15 @@ def test_a_model_with_another_interface_is_refused_with_advice():
     with pytest.raises(ValueError, match=r"shape \(28,\).*'scaled'\) has \(24,\).*PolicySpec\(name, model, "):
         evaluate(PolicySpec("mine", model), BASE, episodes=1)
     assert evaluate(PolicySpec("mine", model, Interface("physical")), BASE, episodes=1).samples
+
+
+def test_a_law_acts_through_its_interface_or_not_at_all():
+    """Through another one, its inputs would be clipped to the box of actions without a word."""
+    partly = evaluate({"mine": partial(laws.Static, kappa=4.0)}, BASE, episodes=2)
+    by_name = evaluate({"mine": "static(kappa=4)"}, BASE, episodes=2)
+    assert (partly.values(BASE.name, "mine", "digits") == by_name.values(BASE.name, "mine", "digits")).all()
+    results = evaluate({"mine": lambda layout: laws.Static(layout, kappa=4.0), "static": "static"}, BASE, episodes=2)
+    assert "returned a Static, which acts through Interface('physical')" in results.failures[BASE.name, "mine"]
 
 
 def test_a_function_says_that_its_policy_sends_code():
