@@ -274,7 +274,7 @@ def follows(law: Law, world: World, loop: SampledLoop, errors: FloatArray) -> bo
         seen = error.reshape(-1, players, n)[:, np.hstack([everyone, neighbours])].swapaxes(0, 1)
         times = {"dt": clock.dt[part], "elapsed": clock.t[part] / clock.deadline, "transformed": clock.s[part]}
         inputs = _respond(law, game, seen, adjacency[modes].swapaxes(0, 1), theta=theta, **times)
-        moves = np.einsum("kij,kj->ki", np.array(loop.matrices)[modes], errors[part])
+        moves = np.array([loop.matrices[mode] @ error for mode, error in zip(modes, errors[part], strict=True)])
         ratio = (loop.steps[part] / theta)[:, None]
         off = np.abs(inputs.swapaxes(0, 1).reshape(part.size, -1)[:, free] + ratio * moves)
         scale = np.abs(loop.matrices).max() * np.abs(errors[part]).max(axis=1, keepdims=True)
