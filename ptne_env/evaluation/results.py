@@ -25,7 +25,7 @@ from ptne_env.evaluation.statistics import STATISTICS, Summary, estimate
 from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import FloatArray, data_frame
 from ptne_env.shared.files import DamagedFileError, read_json
-from ptne_env.shared.names import require_name
+from ptne_env.shared.names import require_name, unknown_name
 from ptne_env.shared.style import COLOURS, PRINT, drawing, printed_axes
 
 FORMAT = 8
@@ -158,6 +158,9 @@ class Results:
         if (summary := self.summary(track, policy, metric)) is not None:
             names = {"track": track, "policy": policy, "metric": metric}
             return {**names, **asdict(summary), "episodes": self.episodes[track]}
+        for what, name, known in (("track", track, self.episodes), ("policy", policy, self.policies)):
+            if name not in known:
+                raise KeyError(unknown_name(what, name, known))
         because = f": {reason}" if (reason := self.reasons.get((track, policy))) else ""
         raise KeyError(f"no record of {metric!r} for policy {policy!r} on track {track!r}{because}")
 

@@ -135,6 +135,8 @@ def test_a_model_of_the_joint_view_is_told_what_to_train_instead():
 def test_a_policy_is_not_applicable_where_it_does_not_fit():
     results = evaluate(["static", PolicySpec("picky", Picky)], [BASE, COMPLETE.replace(name="complete")], episodes=2)
     assert set(results.ranked("complete")) == {"static"}
+    with pytest.raises(KeyError, match="unknown track 'compete'; did you mean 'complete'"):
+        results.record("compete", "picky", "digits")
     with pytest.raises(KeyError, match="on track 'complete': n/a: it was made for another layout"):
         results.record("complete", "picky", "digits")
 
