@@ -77,10 +77,7 @@ def test_a_small_run_gives_rows_from_which_every_table_of_the_suite_is_written(t
     policies = ["static", "relay", "coded-relay", published.TRAINED, "oracle"]
     results = run_suite("ptne-v1", policies, tracks=["uneven-box", "switching-physical"], episodes=8)
     rows = list(publish.rows_of(results))
-    with (tmp_path / "results.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, publish.COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
+    published.write_rows(tmp_path / "results.csv", rows)
     numbers = published.read(tmp_path / "results.csv")
     lead = results.difference(published.TRAINED, "relay", "switching-physical")
     cell = numbers.cell("ptne-v1", "switching-physical", published.TRAINED, published.MINUS_BEST_LAW)

@@ -172,7 +172,7 @@ class PolicySpec:
             raise PolicyError(
                 f"called with the layout, it returned a {type(built).__name__}, which acts through {theirs} and not "
                 f"through {self.interface}: give it by name, as 'static(kappa=4)', or as a class or "
-                "functools.partial(class, ...), or with its interface, as PolicySpec(name, function, interface)"
+                "functools.partial(class, ...), or set the attribute interface of the function"
             )
         if getattr(built, "sends_code", False) and not _declared(source, "sends_code"):
             raise PolicyError(

@@ -275,6 +275,8 @@ def make(layout):
     print("making a policy")
     return laws.ZeroInput(layout)
 
+make.interface = laws.ZeroInput.interface
+
 def broken(layout):
     return 1 / 0
 """
@@ -503,7 +505,7 @@ def test_a_resumed_run_that_nobody_can_repeat_is_named(run, monkeypatch, algorit
 
     monkeypatch.setattr(f"ptne_env.training.{module}.train", train)
     printed = run(f"train energy --algorithm {algorithm}").out
-    assert "1.00 digits on the" in printed
+    assert "1.00 digits on " in printed
     assert ("The run was resumed at" in printed) == bool(told)
     assert told in printed
 
