@@ -9,7 +9,7 @@ import pytest
 import release_check
 from scipy import stats
 
-from baselines import directed, learned, pages, publish, published, ranking, tune
+from baselines import directed, edge_cases, learned, pages, publish, published, ranking, tune
 from ptne_env import CATALOGUE, theory
 from ptne_env.evaluation import CODED, ENTERED, POLICIES, EpisodeSet
 from ptne_env.evaluation.comparison import Job
@@ -23,7 +23,9 @@ from ptne_env.world.world import World
 EPISODES = 20
 """The first of the published episodes, at most."""
 
-SUITES = {"ptne-v1": get_suite("ptne-v1"), **{name: robustness(seed) for name, seed in published.WORLDS.items()}}
+SUITES = {suite.name: suite for suite in (get_suite("ptne-v1"), edge_cases.SUITE)} | {
+    name: robustness(seed) for name, seed in published.WORLDS.items()
+}
 
 
 def test_every_table_of_the_documents_is_that_of_the_published_numbers():
@@ -59,6 +61,13 @@ def test_three_random_published_numbers_are_computed_again_within_their_statisti
         # The mean of some of the published episodes differs from that of all by at most a t quantile of its own error.
         spread = stats.t.ppf(1 - 1e-5, digits.size - 1) * digits.std(ddof=1) / digits.size**0.5
         assert float(row["mean"]) == pytest.approx(digits.mean(), abs=spread + 0.05), row
+
+
+def test_every_published_suite_can_be_computed_again():
+    suites = {row["suite"]: row for row in published.read().rows if row["metric"] == "digits" and row["episodes"]}
+    assert {suite: job_of(row).track.name for suite, row in suites.items()} == {
+        suite: row["track"] for suite, row in suites.items()
+    }
 
 
 def test_the_published_numbers_are_of_policies_scenarios_and_tracks_that_exist():
