@@ -3,8 +3,6 @@
     tune [ALGORITHM]...     20 settings of each algorithm, for 5 M agent-steps on two tracks, beside the defaults
     train [ALGORITHM]...    the defaults with five seeds on every track of ptne-v1, for 20 M agent-steps, or for 50 M
                             where the last fifth of those gained 0.05 digits or more
-    table                   play what was trained on the test episodes, and write ``algorithms.csv``
-    ship                    replace the shipped files by the seeds with the most digits on validation episodes
 
 Every run has a folder in ``--out``, and one core; a run that has ended is not repeated.
 """
@@ -14,8 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import fmean
 from time import process_time
@@ -24,13 +21,9 @@ import numpy as np
 from joblib import Parallel, delayed
 from scipy.stats import qmc
 
-from baselines.published import ALGORITHMS_CSV, interval_of, write_rows
-from ptne_env import learn
-from ptne_env.evaluation import evaluate, get_policy_spec
-from ptne_env.execution import Runner, Workers
 from ptne_env.suites import get_suite
 from ptne_env.training import TRAINERS
-from ptne_env.training.configuration import POLICY, Configuration
+from ptne_env.training.configuration import Configuration
 from ptne_env.training.curve import FLAT, last_gain
 
 ALGORITHMS = tuple(name for name, trainer in TRAINERS.items() if trainer.module == "jax_ppo")
@@ -42,6 +35,9 @@ TRIALS, TRIAL_STEPS = 20, 5_000_000
 SEEDS = range(5)
 BUDGETS = 20_000_000, 50_000_000
 """The agent-steps of a run, and of one on a track where those do not suffice."""
+
+Run = tuple[str, str, Path, dict[str, float]]
+"""A track, an algorithm, the folder, and the settings that are not the defaults."""
 
 
 def candidates() -> list[dict[str, float]]:
@@ -71,8 +67,8 @@ def train_one(track: str, algorithm: str, out: Path, **settings: float) -> float
     return float(summary.digits)
 
 
-def train_all(runs: Sequence[tuple[str, str, Path, dict[str, float]]], jobs: int) -> list[float]:
-    """Train with each track, algorithm, folder and settings, on a core each."""
+def train_all(runs: Sequence[Run], jobs: int) -> list[float]:
+    """Train each on a core."""
     os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
     return list(
         Parallel(jobs, batch_size=1)(
@@ -99,11 +95,6 @@ def folder_of(algorithm: str, track: str, steps: int, out: Path) -> Path:
     return out / algorithm / track / f"{steps // 1_000_000}M"
 
 
-def is_trained(folder: Path) -> bool:
-    """Whether all seeds in a folder have ended."""
-    return all((folder / f"seed-{seed}" / "summary.json").exists() for seed in SEEDS)
-
-
 def gain(folder: Path) -> float:
     """The digits that the last fifth of the runs in a folder gained, as the mean over those that have ended, or 0."""
     return fmean([last_gain(summary.parent) for summary in sorted(folder.glob("seed-*/summary.json"))] or [0.0])
@@ -117,66 +108,19 @@ def train(algorithms: Sequence[str], out: Path, jobs: int) -> None:
             for algorithm in algorithms
             for track in TRACKS
         }
-        train_all(
-            [
-                (
-                    track,
-                    algorithm,
-                    folder_of(algorithm, track, steps, out) / f"seed-{seed}",
-                    {"steps": steps, "seed": seed},
-                )
-                for seed in seeds
-                for (track, algorithm), steps in sorted(budgets.items(), key=lambda item: item[1])
-            ],
-            jobs,
-        )
-
-
-def trained(out: Path) -> Iterator[tuple[str, str, Path]]:
-    """The tracks and algorithms whose seeds have all ended, and the folder of the longest training."""
-    for track in TRACKS:
-        for algorithm in ALGORITHMS:
-            folders = [folder_of(algorithm, track, steps, out) for steps in reversed(BUDGETS)]
-            yield from ((track, algorithm, folder) for folder in [*filter(is_trained, folders)][:1])
-
-
-def table(out: Path) -> None:
-    """Play all that was trained on test episodes, and write its rows."""
-    rows, runner = [], Runner(out / "jobs", Workers(-1))
-    for track, algorithm, folder in trained(out):
-        spec = get_policy_spec(f"{algorithm}={folder}/seed-*/{POLICY}")
-        results = evaluate([spec], f"ptne-v1/{track}", run=runner)
-        spread = results.samples[track, algorithm]["digits"].mean(axis=1).std(ddof=1)
-        seconds = [json.loads((run / "core-seconds.json").read_text()) for run in folder.glob("seed-*")]
-        summaries = [json.loads((run / "summary.json").read_text()) for run in folder.glob("seed-*")]
-        numbers = {
-            "spread": spread,
-            "seeds": len(summaries),
-            "agent_steps": summaries[0]["agent_steps"],
-            "core_minutes": fmean(seconds) / 60,
-            "last_gain": gain(folder),
-        }
-        common = {"suite": "algorithms", "track": track, "policy": algorithm}
-        rows.append(common | {"metric": "digits"} | interval_of(results.record(track, algorithm, "digits")))
-        rows += [common | {"metric": metric, "mean": f"{number:.7g}"} for metric, number in numbers.items()]
-        print(track, algorithm, rows[-6]["mean"], numbers, flush=True)
-    write_rows(ALGORITHMS_CSV, rows)
-
-
-def ship(out: Path) -> None:
-    """Replace the shipped files of ``ippo`` by the best seeds on validation episodes."""
-    for track, algorithm, folder in trained(out):
-        if algorithm == "ippo":
-            digits = {run: json.loads((run / "summary.json").read_text())["digits"] for run in folder.glob("seed-*")}
-            best = max(digits, key=digits.__getitem__)
-            shutil.copyfile(best / POLICY, Path(learn.__file__).parent / f"{algorithm}-{track}.npz")
-            print(f"{algorithm}-{track}: {best.name}, {digits[best]:.2f} digits")
+        shortest_first = sorted(budgets.items(), key=lambda item: item[1])
+        runs: list[Run] = []
+        for seed in seeds:
+            for (track, algorithm), steps in shortest_first:
+                folder = folder_of(algorithm, track, steps, out) / f"seed-{seed}"
+                runs.append((track, algorithm, folder, {"steps": steps, "seed": seed}))
+        train_all(runs, jobs)
 
 
 def main() -> None:
-    """Tune, train, play or ship."""
+    """Tune or train."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=["tune", "train", "table", "ship"])
+    parser.add_argument("command", choices=["tune", "train"])
     parser.add_argument("algorithms", nargs="*", default=ALGORITHMS, metavar="ALGORITHM")
     parser.add_argument("--out", type=Path, default=Path("runs"))
     parser.add_argument("--jobs", type=int, default=-1)
@@ -184,10 +128,8 @@ def main() -> None:
     if arguments.command == "tune":
         for algorithm in arguments.algorithms:
             tune(algorithm, arguments.out, arguments.jobs)
-    elif arguments.command == "train":
-        train(arguments.algorithms, arguments.out, arguments.jobs)
     else:
-        (table if arguments.command == "table" else ship)(arguments.out)
+        train(arguments.algorithms, arguments.out, arguments.jobs)
 
 
 if __name__ == "__main__":

@@ -23,9 +23,6 @@ from ptne_env.world.world import World
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "baselines" / "results.csv"
-ALGORITHMS_CSV = RESULTS.with_name("algorithms.csv")
-"""The file of :mod:`baselines.algorithms`, in the columns of ``results.csv``."""
-
 INTERVAL = ("mean", "low", "high")
 COLUMNS = ("suite", "track", "policy", "metric", *INTERVAL, "episodes")
 SEEN, *FRESH = WORLDS = {"robustness": 1, "robustness-2": 2, "robustness-3": 3, "robustness-4": 4}
@@ -243,40 +240,6 @@ def failed_worlds(numbers: Published) -> str:
     return markdown(["world", *SHOWN_ON_WORLDS, "best"], rows)
 
 
-def algorithms(numbers: Published) -> str:
-    """The digits of the algorithms of reinforcement learning, each on the track on which it was trained."""
-    suite = "algorithms"
-    trained = [name for name in ("ippo", "ippo-rnn", "mappo-rnn") if name in numbers.names("policy", suite)]
-    rows = []
-    for track in numbers.names("track", suite):
-        name, best = best_law(numbers, "ptne-v1", track)
-        cells = [plus_minus(numbers, suite, track, policy) for policy in trained]
-        rows.append([track, f"{plain(best)} {name}", *cells, plain(numbers.cell("ptne-v1", track, TRAINED))])
-    return markdown(["track", "best law", *trained, "one network for all tracks"], rows)
-
-
-def plus_minus(numbers: Published, suite: str, track: str, policy: str) -> str:
-    """The mean and the standard deviation over training seeds."""
-    mean, spread = (plain(numbers.cell(suite, track, policy, metric)) for metric in ("digits", "spread"))
-    return "–" if mean == "–" else f"{mean} ± {spread}"
-
-
-def budgets(numbers: Published) -> str:
-    """What the trainings of the algorithms took, and what their last fifth gained."""
-    suite, rows = "algorithms", []
-    for track in numbers.names("track", suite):
-        for policy in numbers.by_policy(suite, track):
-            seeds, steps, minutes, last = (
-                float(numbers.by_policy(suite, track, metric)[policy]["mean"])
-                for metric in ("seeds", "agent_steps", "core_minutes", "last_gain")
-            )
-            digits = with_interval(numbers.cell(suite, track, policy))
-            rows.append(
-                [track, policy, digits, f"{seeds:.0f}", f"{steps / 1e6:.0f} M", f"{minutes:.1f}", f"{last:.2f}"]
-            )
-    return markdown(["track", "algorithm", "digits", "seeds", "agent-steps", "core minutes", "last fifth gained"], rows)
-
-
 def edges(numbers: Published) -> str:
     """The digits of all policies in the edge cases."""
     names, suite = numbers.names("track", "edge-cases"), "edge-cases"
@@ -323,8 +286,6 @@ TABLES: dict[str, Callable[[Published], str]] = {
     "robustness-fresh": lambda numbers: shortfalls(numbers, FRESH),
     "robustness-failures": failed_worlds,
     "edge-cases": edges,
-    "algorithms": algorithms,
-    "algorithms-budgets": budgets,
     "catalogue": lambda numbers: by_track(numbers, "comparison", SHOWN_ON_SCENARIOS),
     "catalogue-all": lambda numbers: all_policies(numbers, "comparison"),
 }
@@ -358,8 +319,5 @@ def documents() -> list[Path]:
 
 def read(path: Path = RESULTS) -> Published:
     """The published numbers."""
-    rows: list[Row] = []
-    for each in filter(Path.exists, (path, ALGORITHMS_CSV)):
-        with each.open(encoding="utf-8", newline="") as file:
-            rows += csv.DictReader(file)
-    return Published(rows)
+    with path.open(encoding="utf-8", newline="") as file:
+        return Published(list(csv.DictReader(file)))

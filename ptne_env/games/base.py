@@ -32,6 +32,9 @@ RESIDUAL_TOLERANCE = 1e-10
 REGRET_TOLERANCE = 1e-8
 """The largest regret J_i(x*) − min J_i that a computed equilibrium may have, relative to 1 + |J_i(x*)|."""
 
+BOUNDS_ADVICE = "; give low and high where a cost has a pole or falls without end"
+"""What the message of an unbounded game without an equilibrium ends with."""
+
 
 class NoBestResponseError(ValueError):
     """Some player's cost has no minimiser, so the game has no best response."""
@@ -282,7 +285,7 @@ class Game(Part, ABC):
             raise ArithmeticError(
                 f"{type(self).__name__}: the point found has "
                 f"{'‖x − Π(x − F(x))‖' if self.has_bounds else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
-                "was found" + "; give low and high where a cost has a pole or falls without end" * (not self.has_bounds)
+                "was found" + BOUNDS_ADVICE * (not self.has_bounds)
             )
         self._require_minima(points)
         return freeze(points)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.games.base import REGRET_TOLERANCE, Game, NoBestResponseError, require_shape
+from ptne_env.games.base import BOUNDS_ADVICE, REGRET_TOLERANCE, Game, NoBestResponseError, require_shape
 from ptne_env.games.variational import solve_box
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, array_namespace, is_numpy, ordered_sum
 
@@ -237,7 +237,7 @@ class CostGame(Game):
             raise ArithmeticError(
                 f"{type(self).__name__}: F vanishes at the point found, but no strategy was found that minimises the "
                 f"cost of player {int(found.all(axis=1).argmin())} there, so it is no Nash equilibrium"
-                + "; give low and high where a cost has a pole or falls without end"
+                + BOUNDS_ADVICE
                 * (not self.has_bounds)
             )
         self._require_no_better(points, response)

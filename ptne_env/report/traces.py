@@ -49,10 +49,8 @@ def make_scene(track: Track, episodes: EpisodeSet, policies: Iterable[PolicySpec
     clock, equilibrium = world.clock, start.game.nash_equilibria[:, 0]
     starts = np.concatenate([equilibrium, *(run.strategies[0, :, 0] for run in runs.values())])
     decimals = 2 - int(np.floor(np.log10(np.ptp(starts) or 1.0)))
-    links, hears = (
-        np.array(world.topology.union.edges, dtype=np.int64).reshape(-1, 2),
-        world.topology.union.adjacency > 0,
-    )
+    union = world.topology.union
+    links, hears = np.array(union.edges, dtype=np.int64).reshape(-1, 2), union.adjacency > 0
     randomness = start.randomness
     modes = world.modes if randomness is None or randomness.modes is None else randomness.modes[:, 0]
     both_ways = [graph.adjacency + graph.adjacency.T for graph in world.topology.graphs]

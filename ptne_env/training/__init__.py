@@ -11,6 +11,9 @@ from typing import NamedTuple
 
 from ptne_env.shared.files import shipped_files
 
+VALIDATION_EPISODES = 200
+"""The episodes on which an exported policy is validated."""
+
 
 class Trainer(NamedTuple):
     """What trains with an algorithm.
@@ -27,7 +30,7 @@ class Trainer(NamedTuple):
     module: str
     extra: str
     unit: str = "agent-steps"
-    episodes: str = "200 validation episodes"
+    episodes: str = f"{VALIDATION_EPISODES} validation episodes"
     metric: str = "digits"
     resumes_exactly: bool = False
 

@@ -17,6 +17,7 @@ from ptne_env.report.tables import leaders
 from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import read_file, write_atomically
 from ptne_env.shared.style import COLOURS, INK, drawing, encode
+from ptne_env.training import VALIDATION_EPISODES
 from ptne_env.training.configuration import POLICY, RunSummary, write_record
 from ptne_env.world.scenario import Scenario
 
@@ -47,10 +48,6 @@ def write_learning_curve(folder: Path, steps: Any, results: Any) -> None:
     buffer = io.BytesIO()
     np.savez(buffer, timesteps=steps, results=results)
     write_atomically(folder / "evaluations.npz", buffer.getvalue())
-
-
-VALIDATION_EPISODES = 200
-"""The episodes on which an exported policy is validated, as ``Trainer.episodes`` says."""
 
 
 def finish(out: Path, content: bytes, world: Scenario | Track, steps: int, resumed_at: int, began: float) -> RunSummary:
