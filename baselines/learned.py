@@ -1,7 +1,7 @@
 """The policies that were trained through the world: their recipe, their training, and the table ``learned.md``.
 
     python -m baselines.learned train NAME [--seeds 0,1,2,3,4] [--out runs]   train a recipe; resumes what is unfinished
-    python -m baselines.learned table [--out runs]                            compare, and write ``learned.md``
+    python -m baselines.learned table [--out runs]                            compare, and fill ``learned.md``
     python -m baselines.learned limit                                         digits without a model of the unheard
 
 No world of a suite is trained on: sizes, numbers and fault levels of the generalist's worlds are others, and the worlds
@@ -11,6 +11,8 @@ of the suite ``robustness`` are drawn from another seed.
 from __future__ import annotations
 
 import argparse
+import re
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -130,12 +132,7 @@ WORLDS = (
         topology=_graphs(6, 0.35),
         channel=_noisy(0.02),
     ),
-    _world(
-        "coupled",
-        5,
-        game=part("game:coupled", game=_energy(4), lines=3),
-        message_range=120.0,
-    ),
+    _world("coupled", 5, game=part("game:coupled", game=_energy(4), lines=3), message_range=120.0),
     _world(
         "coupled-six",
         7,
@@ -144,14 +141,7 @@ WORLDS = (
         message_range=120.0,
         channel=_noisy(0.001),
     ),
-    _world(
-        "ten-switching",
-        10,
-        topology=_cycle(10, 2, 0.1, "physical"),
-        gain=8.0,
-        steps=200,
-        channel=_noisy(0.001),
-    ),
+    _world("ten-switching", 10, topology=_cycle(10, 2, 0.1, "physical"), gain=8.0, steps=200, channel=_noisy(0.001)),
     _dozen("dozen", (1, 3), steps=150),
     _dozen("ring", (1,)),
     _world(
@@ -212,10 +202,7 @@ OUTSIDE = (
     ("curvatures of 0.1 to 4, not 0.5 to 2", {"game": part("game:random-energy", players=5, curvature=(0.1, 4.0))}),
     ("messages that are one step late", {"channel": part("channel:delay", steps=1)}),
     ("dwells twice as long", {"topology": part("topology:paper", dwell=0.5, clock="transformed")}),
-    (
-        "eight players",
-        {"game": part("game:random-energy", players=8), "topology": _cycle(8, 4, 0.25, "transformed")},
-    ),
+    ("eight players", {"game": part("game:random-energy", players=8), "topology": _cycle(8, 4, 0.25, "transformed")}),
 )
 """Worlds outside of the family of the first specialist."""
 
@@ -278,7 +265,7 @@ def spread(results: Results, track: str, policy: str) -> str:
 
 
 def table(out: Path) -> None:
-    """Play the specialists on the test episodes of the published laws, and write ``learned.md``.
+    """Play the specialists on the test episodes of the published laws, and fill ``learned.md``.
 
     The numbers of the generalist are those of ``results.csv``.
     """
@@ -304,14 +291,14 @@ def table(out: Path) -> None:
         rows.append([label, theirs, law("comparison", world)[1], ppo, before, ours, shipped])
     heading = "trained through the world"
     headings = ["", "the paper's law", "best law", "PPO", "untrained", heading, "the shipped file"]
-    parts = [markdown(headings, rows)]
+    parts = {"specialists": markdown(headings, rows)}
 
     family = get_scenario("random-energy-switching-transformed")
     players = "relay", f"recurrent-{family.name}"
     outside = [family.replace(name=name, **changes) for name, changes in OUTSIDE]
     found = evaluate(players, outside, episodes=100, run=run)
     rows = [[name, *(digits(found, name, player) for player in players)] for name, _ in OUTSIDE]
-    parts.append(markdown(["", "relay", "the first specialist"], rows))
+    parts["outside"] = markdown(["", "relay", "the first specialist"], rows)
 
     rows, shipped, suite = [], f"recurrent-{ALL}", get_suite("ptne-v1")
     found = evaluate(trained(ALL, out), suite.tracks, episodes=suite.episodes, run=run)
@@ -319,87 +306,27 @@ def table(out: Path) -> None:
         theirs, ours = plain(published.cell("ptne-v1", track, "static")), published.cell("ptne-v1", track, shipped)
         best, standard = law("ptne-v1", track)[1], plain(published.cell("ptne-v1", track, PPO))
         rows.append([track, theirs, best, standard, with_interval(ours) + spread(found, track, "trained")])
-    parts.append(markdown(["", "the paper's law", "best law", "PPO", heading], rows))
+    parts["tracks"] = markdown(["", "the paper's law", "best law", "PPO", heading], rows)
 
     scored = [track.name for track in suite.tracks if track.scored]
     bests = {track: law("ptne-v1", track)[0] for track in scored}
     shares = {t: float(published.cell("ptne-v1", t, shipped)["mean"]) / bests[t] for t in scored}
     leads = [t for t in scored if float(published.cell("ptne-v1", t, shipped, MINUS_BEST_LAW)["low"] or 0) > 0]
-    parts.append(
+    parts["summary"] = (
         f"- It leads the best law on {len(leads)} of {len(shares)} scored tracks, the interval of their difference\n"
         f"  in the same episodes being clear of 0: {', '.join(leads)}.\n"
         f"- Mean over scored tracks of its digits over those of the best law: {np.mean([*shares.values()]):.3f}.\n"
         f"- 54 players, after training with at most 12: {shares['market-118']:.2f} of the digits of the best law."
     )
-    write_atomically(Path(__file__).with_suffix(".md"), TEXT.format(*parts, limit("random-energy-switching")))
+    document = Path(__file__).with_suffix(".md")
+    parts["limit"] = f"{limit('random-energy-switching'):.2f}"
+    write_atomically(document, fill_parts(document.read_text(encoding="utf-8"), parts))
 
 
-TEXT = """# Policies that were trained through the world
-
-Written by `python -m baselines.learned table`; `python -m baselines.learned train NAME` trains. Digits with 95 %
-intervals on test episodes: 200 of the specialists, 10 of each untrained network, and those of the suites; ± is the
-standard deviation over training seeds, their number in brackets.
-[learning.md](../docs/learning.md#through-the-world) explains the network and its training.
-
-## Specialists
-
-Each was trained in other games of its family, from random weights: the first and the defaults for two minutes of one
-core per seed, the second, which holds each action for four steps, for eleven. The shipped file is the best of the seeds
-in training. Until Muon replaced Adam, the second stuck where players predict the moves of others badly: seeds 0 and 1
-had 6.6 and 6.8 digits in training after 25 minutes; with Muon seed 1 reached 6.8 in five. Without linear attention all
-networks had 4.6 to 4.9. Twice the rate gained nothing, and 3,000 updates had 8.5 digits in 100 test episodes. With full
-outputs at the start seed 0 learned nothing in 120 updates, and in 340 at twice the rate.
-
-{0}
-
-On the physical clock, players who play the exact equilibrium with those that they can hear, in every dwell, have
-{4:.2f} digits (`python -m baselines.learned limit`). For more, a player must predict the responses of players that it
-cannot hear. The network has learned some of that.
-
-Outside of its family the first fails:
-
-{1}
-
-## One file for all tracks
-
-Trained in worlds of which none is of a suite, but most are like a track, with other numbers, often on both sides of its
-own; they have at most 12 players. In all it is 45 million agent-steps, in three stages, of which each goes on from the
-weights of the one before: 1,200 updates from random weights in 34 worlds (65 minutes of one core), 220 in 37, of which
-the new ones have strangers, or a ring of players with four components (20 minutes), and 120 in 38 at a lower rate, with
-five seeds (12 minutes each). The file is the best of these seeds in training; ± is the standard deviation over them.
-Seeds of the first stage differ more: on 30 validation episodes per track, 0 and 1 have 0.94 and 0.91 of the best law's
-digits, and 0.84 and 0.58 among 50 players. All stages with seed 1 have 0.95 and 0.98 where the file has 0.96 and 0.92,
-and differ from it most on `strangers` (2.87 and 3.21 digits). The recipe repeats these stages, but the second was of
-seed 20, and without the world `wide`. PPO is `ppo-ptne-v1`, trained on `nominal` for 5,000,000 agent-steps.
-
-{2}
-
-{3}
-
-On `liar` the network had 2.1 digits while the largest difference was its only unit, because a liar is always far: half
-of a digit came from the unit of the nearest neighbour's difference alone, and the rest from training.
-
-Worlds were missing, not updates. In shares of the best law's digits on 30 validation episodes per track of the suite as
-it was then (with a track `strangers`, on which one player follows the paper's law, and without rotation), the first
-stage has 0.94, and 0.84 among 50 players, and a fifth of its episodes on `strangers` end below one digit; the second
-0.96, and 0.89 among 50; the third, with a world of 12 players with three components each, 0.94 to 0.96, and 0.90 to
-0.95. A second stage in the worlds of the first, with twice the episodes, had 0.93.
-
-What did not help: a second stage of 220 updates in all 38 worlds at the rate of the first (0.94, as it fails in four of
-ten episodes among 50 players); the mean of the weights of the five seeds (0.95, as each). The file before had 0.91
-after a chain of longer runs, mostly by Adam. From it, windows of 60 steps with 0.95 for memories had 0.89, as 50
-players then had half of their digits; means with runs among short deadlines 0.87, among liars 0.92, and among rings of
-12 players at most 0.925.
-
-Dither was tried too. A network that may add an offset to its estimates, which the loss does not count (evenly spread
-numbers times a learned amplitude, and 0 in the last step), learns to average rounded messages, if the slope of rounding
-is taken to be that of x − sin(2πx)/2π, which rewards spread. After 1,800 updates among rounded messages it had
-2.4 digits on `rounding` in place of 2.0, with half of the amplitude that would be needed, and it lost other tracks:
-offsets of all players disturb the gradients of all. With offsets in every second step only, networks learned to do
-without, and had 2.3. Laws need a model of their own costs to dither and respond at once.
-
-"Every law" is every entry, with the same constants on all tracks.
-"""
+def fill_parts(text: str, parts: Mapping[str, str]) -> str:
+    """The document with what stands between its marks ``<!-- part NAME -->`` and ``<!-- end -->``."""
+    mark = re.compile(r"(<!-- part (\w+) -->(\n?)).*?(<!-- end -->)", re.DOTALL)
+    return mark.sub(lambda found: f"{found[1]}{parts[found[2]]}{found[3]}{found[4]}", text)
 
 
 def limit(name: str, episodes: int = 200) -> float:

@@ -163,6 +163,15 @@ def test_one_principal_component_explains_tracks_that_rank_alike_and_not_others(
     assert ranking.principal_share(np.linalg.qr(generator.normal(size=(8, 3)))[0]) < 0.6
 
 
+def test_the_script_of_the_learned_policies_fills_all_parts_of_its_page_and_leaves_the_prose():
+    page = published.ROOT / "baselines" / "learned.md"
+    text, names = page.read_text(encoding="utf-8"), ("specialists", "limit", "outside", "tracks", "summary")
+    filled = learned.fill_parts(text, {name: f"\\1 {name}" for name in names})
+    assert [filled.count(f"<!-- part {name} -->") + filled.count(f"\\1 {name}") for name in names] == [2] * 5
+    assert filled.count("<!-- end -->") == text.count("<!-- end -->") == 5
+    assert "| " not in filled
+
+
 def test_players_who_hear_all_reach_the_equilibrium_and_others_do_not_without_a_model_of_the_unheard():
     assert learned.limit("random-energy", episodes=3) == pytest.approx(12)
     assert learned.limit("random-energy-switching", episodes=3) < 8
