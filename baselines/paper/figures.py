@@ -237,11 +237,7 @@ FIGURES: tuple[FigureSpec, ...] = (
         "Fig. 3",
     ),
     FigureSpec(
-        "corollary-one",
-        f"Example 1 without the time gain. {_TWO} {_READING}",
-        (8.2, 6.0),
-        _comparison,
-        "Fig. 4",
+        "corollary-one", f"Example 1 without the time gain. {_TWO} {_READING}", (8.2, 6.0), _comparison, "Fig. 4"
     ),
     FigureSpec(
         "adaptive",

@@ -88,8 +88,7 @@ def compare(
     rerun: Annotated[bool, typer.Option("--rerun", help="Run every job again, also stored ones.")] = False,
     jobs: Annotated[int, typer.Option(help="Number of tasks at a time; -1 for one per core.")] = -1,
     ray: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Run the tasks on a Ray cluster: auto, local, or HOST:6379."),
+        str | None, typer.Option(metavar="ADDRESS", help="Run the tasks on a Ray cluster: auto, local, or HOST:6379.")
     ] = None,
     json: options.JsonOption = None,
     trust: options.TrustOption = False,

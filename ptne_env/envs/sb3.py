@@ -77,9 +77,7 @@ class PlayerVecEnv(VecEnv):
         self._actions = np.empty(0)
         self._began = time()
         super().__init__(
-            self.vector.num_envs * self._players,
-            self.vector.single_observation_space,
-            self.vector.single_action_space,
+            self.vector.num_envs * self._players, self.vector.single_observation_space, self.vector.single_action_space
         )
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, dtype=np.int64)
         if seed is not None:

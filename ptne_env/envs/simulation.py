@@ -127,12 +127,7 @@ class Simulation:
     """
 
     def __init__(
-        self,
-        encoder: Encoder,
-        *,
-        reward: RewardChoice = "digits",
-        max_cycles: int | None = None,
-        num_envs: int = 1,
+        self, encoder: Encoder, *, reward: RewardChoice = "digits", max_cycles: int | None = None, num_envs: int = 1
     ) -> None:
         self.encoder, self.world = encoder, encoder.world
         self.num_envs = require_count("num_envs", num_envs, 1)

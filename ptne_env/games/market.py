@@ -13,14 +13,7 @@ import numpy.typing as npt
 
 from ptne_env.games.affine import AffineGame
 from ptne_env.games.base import Game, GameFamily
-from ptne_env.shared.arrays import (
-    FloatArray,
-    freeze,
-    ordered_sum,
-    require_positive,
-    require_probability,
-    with_games,
-)
+from ptne_env.shared.arrays import FloatArray, freeze, ordered_sum, require_positive, require_probability, with_games
 from ptne_env.shared.parts import checked
 
 

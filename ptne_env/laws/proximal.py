@@ -7,15 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from ptne_env.laws.base import RecordLaw, consensus, per_step
-from ptne_env.laws.identification import (
-    Model,
-    identify,
-    initial_model,
-    own_curvatures,
-    own_entries,
-    shorten,
-    with_own,
-)
+from ptne_env.laws.identification import Model, identify, initial_model, own_curvatures, own_entries, shorten, with_own
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 

@@ -85,11 +85,7 @@ class Table:
 
 
 def text_table(
-    caption: str,
-    subject: str,
-    headings: Iterable[str],
-    rows: Iterable[tuple[str, ...]],
-    notes: tuple[str, ...] = (),
+    caption: str, subject: str, headings: Iterable[str], rows: Iterable[tuple[str, ...]], notes: tuple[str, ...] = ()
 ) -> Table:
     """Return a table of words, whose rows are the name of each, which no other row has, and a text per heading."""
     texts = {name: row for name, *row in rows}

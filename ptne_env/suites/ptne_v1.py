@@ -34,14 +34,7 @@ BASE = get_scenario("random-energy").replace(
 """Random energy games of five players, each on its own random graph, with noise on messages."""
 
 
-def _track(
-    name: str,
-    change: str,
-    *,
-    episodes: int | None = None,
-    scored: bool = True,
-    **changes: Any,
-) -> Track:
+def _track(name: str, change: str, *, episodes: int | None = None, scored: bool = True, **changes: Any) -> Track:
     return Track(name, BASE.replace(name=name, **changes), change, None, episodes, scored)
 
 

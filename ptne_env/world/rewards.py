@@ -59,9 +59,7 @@ TERMS: Mapping[str, Term] = {
         is_gain=True,
     ),
     "tracking": Term(
-        "−d^i after the step",
-        value=lambda _, distance: -distance,
-        worst=lambda game: -dynamics.distance_limit(game),
+        "−d^i after the step", value=lambda _, distance: -distance, worst=lambda game: -dynamics.distance_limit(game)
     ),
     "payoff": Term(
         "−J_i(x) of the real strategies x after the step",
