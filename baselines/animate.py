@@ -17,9 +17,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from ptne_env.envs.rendering import MOST_ESTIMATES
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.evaluation.trajectories import Trajectories, play
-from ptne_env.report.traces import MOST_ESTIMATES
 from ptne_env.report.video import encode_gif
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.style import COLOURS, FAINT, INK, drawing

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 _SIZE, _DPI = (9.6, 5.4), 100
 _STYLE = {"font.size": 11, "legend.fontsize": 11}
 
+MOST_ESTIMATES = 200
+"""The largest number of estimates of all players that a picture or a page shows beside the strategies."""
+
 _Limits = tuple[tuple[float, float], tuple[float, float]]
 
 
@@ -36,6 +39,11 @@ class Renderer:
         self.world = world
         self.title = world.scenario.name if title is None else title
         self.mode = mode
+        players = world.game.num_players
+        self._is_crowded = world.game.dimension * players > MOST_ESTIMATES
+        self._thinness = min(1.0, 10 / players)  # of links, which are thinner where there are many players
+        angles = np.pi / 2 - 2 * np.pi * np.arange(players) / players  # on a circle, clockwise from the top
+        self._places = np.cos(angles), np.sin(angles)
         self._states: list[State] = []
         self._limits: _Limits | None = None
         self._figure: Figure | None = None
@@ -173,23 +181,6 @@ class Renderer:
         headline = f"{self.title}    t = {times[-1]:.3f} s    {reached}"
         bold: dict[str, Any] = {"fontsize": 13, "fontweight": "bold", "transform": figure.transFigure}
         return [*moving, left.text(0.07, 0.945, headline, **bold)]
-
-    @property
-    def _is_crowded(self) -> bool:
-        """Whether there are too many estimates of other players to be drawn beside the strategies."""
-        return self.world.game.dimension * self.world.game.num_players > 200
-
-    @property
-    def _thinness(self) -> float:
-        """Factor of the widths of links, which are thinner where there are many players."""
-        return min(1.0, 10 / self.world.game.num_players)
-
-    @property
-    def _places(self) -> tuple[FloatArray, FloatArray]:
-        """The places of the players on a circle, clockwise from the top."""
-        players = self.world.game.num_players
-        angles = np.pi / 2 - 2 * np.pi * np.arange(players) / players
-        return np.cos(angles), np.sin(angles)
 
 
 def _colour(player: int) -> str:

@@ -11,14 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from ptne_env.envs.rendering import MOST_ESTIMATES
 from ptne_env.evaluation.episodes import EpisodeSet
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.tracks import Track
 from ptne_env.evaluation.trajectories import QUANTILES, play
 from ptne_env.shared.arrays import FloatArray
-
-MOST_ESTIMATES = 200
-"""Largest number of estimates of all players that a page shows, as many as ``env.render()`` draws."""
 
 
 @dataclass(frozen=True)
