@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.perception.observation import Interface, ObservationLayout
+from ptne_env.perception.observation import Interface
 from ptne_env.perception.policy import RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, is_numpy, require_count
 
@@ -30,7 +30,7 @@ LAYOUT_VERSION = 1
 """The version of the meaning of observations and actions; files of another version are refused."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Metadata:
     """The description of a network of layers in a policy file.
 
@@ -64,17 +64,6 @@ class Metadata:
                 f"the policy was made for layout version {self.layout_version}, this library has {LAYOUT_VERSION}; "
                 "use the version of ptne_env that made it, or train it again"
             )
-
-    @classmethod
-    def of(cls, layout: ObservationLayout, training: Mapping[str, Any], activation: str = "relu") -> Metadata:
-        """Describe a policy that was trained with a layout."""
-        return cls(
-            interface=layout.interface,
-            action_dims=layout.action_dims,
-            slots=layout.slots,
-            training=training,
-            activation=activation,
-        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the description as a JSON object."""

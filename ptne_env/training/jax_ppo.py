@@ -339,5 +339,6 @@ def train(
         write_learning_curve(out, np.arange(1, len(curve) + 1) * chunk, curve)
         if progress is not None:
             progress(len(curve) * chunk, learner.chunks * chunk, float(curve[-1].mean()))
-    content = seal(runner.average, Metadata.of(learner.layout, asdict(configuration)))
+    layout = learner.layout
+    content = seal(runner.average, Metadata(layout.interface, layout.action_dims, layout.slots, asdict(configuration)))
     return finish(out, content, learner.track, len(curve) * chunk, resumed_at, began)

@@ -148,7 +148,7 @@ def export(model: BaseAlgorithm, layout: ObservationLayout, **training: Any) -> 
     rows = np.random.default_rng(0).standard_normal((100, layout.size)).astype(np.float32)
     try:
         weights, activation = _read_network(model, layout)
-        exported = seal(weights, Metadata.of(layout, training, activation))
+        exported = seal(weights, Metadata(layout.interface, layout.action_dims, layout.slots, training, activation))
         actions, _ = open_policy(Path(POLICY), exported).predict(rows)
         expected, _ = as_trained(model).predict(rows, deterministic=True)
         np.testing.assert_allclose(actions, expected, rtol=1e-4, atol=1e-4, equal_nan=False)
