@@ -37,14 +37,12 @@ class FigureSpec:
         caption: the content, printed below the figure after its number.
         size: width and height in inches.
         draw: fills the figure.
-        number: of the paper's figure as printed, ``"Fig. 1"``.
     """
 
     name: str
     caption: str
     size: tuple[float, float]
     draw: Callable[[Figure, Experiments], None]
-    number: str
 
 
 def draw(spec: FigureSpec, experiments: Experiments) -> bytes:
@@ -58,7 +56,7 @@ def draw(spec: FigureSpec, experiments: Experiments) -> bytes:
         ImportError: naming the extra to install when matplotlib is missing.
     """
     width, height = spec.size
-    lines = textwrap.wrap(f"{spec.number}. {spec.caption}", int(15.5 * width))
+    lines = textwrap.wrap(f"Fig. {1 + FIGURES.index(spec)}. {spec.caption}", int(15.5 * width))
     band = 0.17 * len(lines) + 0.12  # inches for the caption below the axes
     share = band / (height + band)
     buffer = io.BytesIO()
@@ -220,31 +218,25 @@ FIGURES: tuple[FigureSpec, ...] = (
         "The time transformation λ and its derivative, drawn from their formulas, without a run.",
         (6.6, 2.5),
         _time_transformation,
-        "Fig. 1",
     ),
     FigureSpec(
         "graph",
         "The fixed graph of the runs. The paper's drawing is not available; the 5-cycle is ours.",
         (2.7, 2.7),
         _graph,
-        "Fig. 2",
     ),
     FigureSpec(
         "static",
         f"Example 1, {_STATIC}. {_ONE} {_READING}",
         (8.2, 3.3),
         lambda figure, experiments: _runs(figure, {"": experiments.static}),
-        "Fig. 3",
     ),
-    FigureSpec(
-        "corollary-one", f"Example 1 without the time gain. {_TWO} {_READING}", (8.2, 6.0), _comparison, "Fig. 4"
-    ),
+    FigureSpec("corollary-one", f"Example 1 without the time gain. {_TWO} {_READING}", (8.2, 6.0), _comparison),
     FigureSpec(
         "adaptive",
         f"Example 1, adaptive law. {_ONE} {_READING}",
         (8.2, 3.3),
         lambda figure, experiments: _runs(figure, {"": experiments.adaptive}),
-        "Fig. 5",
     ),
     FigureSpec(
         "adaptive-gains",
@@ -253,7 +245,6 @@ FIGURES: tuple[FigureSpec, ...] = (
         lambda figure, experiments: _gains(
             figure.subplots(), experiments.adaptive, rf"fixed graph, $\gamma={GAMMA:g}$"
         ),
-        "Fig. 6",
     ),
     FigureSpec(
         "switching-graphs",
@@ -261,7 +252,6 @@ FIGURES: tuple[FigureSpec, ...] = (
         "is not available; these are our choice.",
         (8.2, 2.1),
         _switching_graphs,
-        "Fig. 7",
     ),
     FigureSpec(
         "switching",
@@ -269,21 +259,18 @@ FIGURES: tuple[FigureSpec, ...] = (
         f"{_TWO} {_READING}",
         (8.2, 6.2),
         lambda figure, experiments: _runs(figure, _by_clock(experiments.switching)),
-        "Fig. 8",
     ),
     FigureSpec(
         "switching-gains",
         "The gains of the adaptive law over switching graphs, in the two runs of Fig. 8.",
         (8.2, 3.0),
         _switching_gains,
-        "Fig. 9",
     ),
     FigureSpec(
         "non-quadratic",
         f"Example 2 (corrected), adaptive law over switching graphs. {_TWO} {_READING}",
         (8.2, 6.2),
         lambda figure, experiments: _runs(figure, _by_clock(experiments.non_quadratic_switching)),
-        "Fig. 10",
     ),
 )
-"""All figures, in the order of the paper."""
+"""All figures, in the order of the paper, which gives their numbers."""
