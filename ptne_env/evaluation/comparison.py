@@ -29,7 +29,7 @@ from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.observation import LayoutError, ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.shared.parts import names_of
+from ptne_env.shared.parts import FactorySpec, names_of
 from ptne_env.world.scenario import Scenario
 
 ZERO, LAW, ORACLE = REFERENCES = "zero-input", "static", "oracle"
@@ -123,7 +123,7 @@ def _round_values(values: FloatArray) -> FloatArray:
     return np.array([float(f"{value:.7g}") for value in values.tolist()])
 
 
-Policies: TypeAlias = "str | Path | PolicySpec | Policy | Iterable[Any] | Mapping[str, Any]"
+Policies: TypeAlias = "str | Path | PolicySpec | FactorySpec | Policy | Iterable[Any] | Mapping[str, Any]"
 """Policies as :func:`evaluate` takes them."""
 
 Run: TypeAlias = Callable[[Sequence[Job]], list[JobResult]]
@@ -228,7 +228,7 @@ def run_suite(
 
 def as_list(things: Any) -> list[Any]:
     """Return one thing, or several, as a list; ``TypeError`` for what cannot be compared, such as an environment."""
-    if isinstance(things, str | Path | PolicySpec | Scenario | Track) or hasattr(things, "predict"):
+    if isinstance(things, str | Path | PolicySpec | FactorySpec | Scenario | Track) or hasattr(things, "predict"):
         return [things]
     if isinstance(things, type) or not isinstance(things, Iterable):
         kind = f"the class {things.__name__}" if isinstance(things, type) else f"a {type(things).__name__}"

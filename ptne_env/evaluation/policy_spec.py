@@ -295,8 +295,8 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
         policy: a name of :data:`POLICIES`, an ``.npz`` file, a Stable-Baselines3 ``.zip``, the id of a
             law (``"law:grounded"``) or a ``"module:object"`` that is called with the layout, or ``"name=pattern"``
             (such as ``"mine=runs/seed-*/policy.npz"``), whose files are the training seeds of one policy, or one file
-            per track where ``{track}`` stands for the name of its scenario; or an object or class with ``predict``,
-            whose class gives the name. Arguments of what is no file may follow in parentheses, as in
+            per track where ``{track}`` stands for the name of its scenario; or a factory spec, or an object or class
+            with ``predict``, whose class gives the name. Arguments of what is no file may follow in parentheses, as in
             ``"static(kappa=4)"``.
         trust: whether code that is stored in a ``.zip`` may be executed.
 
@@ -306,8 +306,8 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
         FileNotFoundError: when there is no such file, or a pattern matches none.
         PolicyFileError, ImportError: as :func:`ptne_env.learn.load` raises them.
     """
-    if isinstance(policy, PolicySpec):
-        return policy
+    if isinstance(policy, PolicySpec | FactorySpec):
+        return policy if isinstance(policy, PolicySpec) else PolicySpec(str(policy), policy)
     if hasattr(policy, "predict"):
         return PolicySpec((policy if isinstance(policy, type) else type(policy)).__name__, policy)
     policy = str(policy) if isinstance(policy, Path) else policy

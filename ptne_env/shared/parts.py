@@ -366,6 +366,11 @@ class FactorySpec:
         name = target if isinstance(target, str) else _target(target)
         return cls(name, tuple((name, _as_argument(name, value)) for name, value in sorted(arguments.items())))
 
+    def __str__(self) -> str:
+        """Return the form of a call, as in ``"static(kappa=2.0)"``; a part goes by its name."""
+        arguments = ", ".join(f"{name}={value!r}" for name, value in self.to_dict()["arguments"].items())
+        return f"{self.target.rpartition(':')[2] if is_part(self.target) else self.target}({arguments})"
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Take a target in a notebook along, which workers cannot import: cloudpickle sends it by value."""
         if self.target.partition(":")[0] != _MAIN:

@@ -16,7 +16,7 @@ from ptne_env.evaluation.policy_spec import PolicySpec, get_policy_spec
 from ptne_env.laws import Adaptive, Grounded, Law, Static
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.arrays import FloatArray
-from ptne_env.shared.parts import FactorySpec, is_part
+from ptne_env.shared.parts import FactorySpec
 from ptne_env.theory.assumptions import AssumptionCheck, check_assumptions
 from ptne_env.theory.closed_loop import (
     LoopClock,
@@ -111,21 +111,20 @@ def certify(scenario: str | Scenario, law: str | FactorySpec | PolicySpec | type
     Args:
         scenario: a scenario, or its name, as for :func:`ptne_env.get_scenario`. Of a random start or topology one draw
             counts, with seed 0; of random games, a typical one.
-        law: the class of a law, a spec such as ``FactorySpec.of("law:grounded", kappa=4.0)``, or whatever
-            :func:`~ptne_env.evaluation.get_policy_spec` takes. A closed loop has a law that is linear in gradient and
-            differences, possibly with gains that adapt.
+        law: the law, as :func:`~ptne_env.evaluation.get_policy_spec` takes it. A closed loop has a law that is linear
+            in gradient and differences, possibly with gains that adapt.
 
     Raises:
         TypeError: when ``scenario`` is something else.
         ValueError: for an unknown scenario, or when ``law`` does not build a law that can act on the scenario.
         PolicyError: when the constructor of the law fails.
     """
-    scenario = get_scenario(scenario)
+    scenario, spec = get_scenario(scenario), get_policy_spec(law)
     world = World(scenario)
-    built, constants = build_law(law, world), problem_constants(world)
+    built, constants = build_law(spec, world), problem_constants(world)
     certificate = Certificate(
         scenario=scenario.name,
-        law=_describe(_spec(law)),
+        law=str(spec.policy) if isinstance(spec.policy, FactorySpec) else spec.name,
         assumptions=check_assumptions(world, constants),
         condition=condition(built, constants),
         shortfall=world.clock.shortfall,
@@ -154,24 +153,12 @@ def build_law(law: str | FactorySpec | PolicySpec | type[Law], world: World) -> 
     Raises:
         ValueError: when the law cannot act in the world, or the result is no law.
     """
-    spec = _spec(law)
+    spec = get_policy_spec(law)
     built = spec.build(Encoder(world, spec.interface).layout)
     if not isinstance(built, Law):
         kind = type(built).__name__
         raise ValueError(f"{spec.name!r} is no law, but a {kind}: for a certificate subclass ptne_env.laws.Law")
     return built
-
-
-def _spec(law: str | FactorySpec | PolicySpec | type[Law]) -> PolicySpec:
-    return PolicySpec("law", law) if isinstance(law, FactorySpec) else get_policy_spec(law)
-
-
-def _describe(spec: PolicySpec) -> str:
-    if not isinstance(spec.policy, FactorySpec):
-        return spec.name
-    arguments = ", ".join(f"{name}={value!r}" for name, value in spec.policy.to_dict()["arguments"].items())
-    target = spec.policy.target
-    return f"{target.rpartition(':')[2] if is_part(target) else target}({arguments})"
 
 
 def _faults(world: World) -> list[str]:

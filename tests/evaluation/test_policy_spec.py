@@ -109,7 +109,9 @@ def test_arguments_follow_a_name_in_parentheses(text, spec):
 
 @pytest.mark.parametrize("law", ["static", "static-tuned", "gadjov-pavel", "adaptive", "fixed-time"])
 def test_the_law_that_a_certificate_prints_is_the_name_of_the_same_policy(law):
-    assert get_policy_spec(theory.certify("energy", law).law).policy == POLICIES[law].policy
+    printed = theory.certify("energy", law).law
+    assert get_policy_spec(printed).policy == POLICIES[law].policy
+    assert get_policy_spec(POLICIES[law].policy).name == printed
 
 
 def test_a_dictionary_names_policies_and_archives_are_trusted_by_an_argument(tmp_path):
