@@ -152,7 +152,7 @@ class AffineGame(Game):
         """Check nothing: costs are convex by construction."""
 
     def _solve_nash_equilibria(self) -> FloatArray:
-        if self.has_bounds:
+        if self.box is not None:
             return super()._solve_nash_equilibria()
         stack, right = np.moveaxis(self.matrices, 2, 0), -self.offsets.T[..., None]
         try:

@@ -132,11 +132,6 @@ class Game(Part, ABC):
         """The player that owns each component, shape (n,)."""
         return np.repeat(np.arange(self.num_players), self.action_dims).astype(np.int64)
 
-    @cached_property
-    def has_bounds(self) -> bool:
-        """Whether a box confines the strategies."""
-        return self.box is not None
-
     def project(self, strategies: FloatArray) -> FloatArray:
         """Π(x), the nearest strategies in the box: (n, B) to (n, B); the same array without a box."""
         return strategies if self.box is None else array_namespace(strategies).clip(strategies, *self.box)
@@ -284,8 +279,8 @@ class Game(Part, ABC):
         if not np.all(residuals <= RESIDUAL_TOLERANCE * (1 + np.linalg.norm(points, axis=0))):
             raise ArithmeticError(
                 f"{type(self).__name__}: the point found has "
-                f"{'‖x − Π(x − F(x))‖' if self.has_bounds else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
-                "was found" + BOUNDS_ADVICE * (not self.has_bounds)
+                f"{'‖x − Π(x − F(x))‖' if self.box else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
+                "was found" + BOUNDS_ADVICE * (self.box is None)
             )
         self._require_minima(points)
         return freeze(points)

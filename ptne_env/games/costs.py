@@ -238,7 +238,7 @@ class CostGame(Game):
                 f"{type(self).__name__}: F vanishes at the point found, but no strategy was found that minimises the "
                 f"cost of player {int(found.all(axis=1).argmin())} there, so it is no Nash equilibrium"
                 + BOUNDS_ADVICE
-                * (not self.has_bounds)
+                * (self.box is None)
             )
         self._require_no_better(points, response)
 

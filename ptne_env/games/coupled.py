@@ -151,7 +151,7 @@ class CoupledConstraint(GameFamily):
     def __post_init__(self) -> None:
         super().__post_init__()
         typical = self.game.representative
-        if not typical.is_affine or typical.has_bounds:
+        if not typical.is_affine or typical.box is not None:
             raise ValueError(
                 "CoupledConstraint needs an affine game without bounds, which need not agree with the constraint, got "
                 f"{type(typical).__name__}"

@@ -135,7 +135,7 @@ class RandomSaturating(GameFamily):
     def __post_init__(self) -> None:
         super().__post_init__()
         typical = self.affine.representative
-        if not typical.is_affine or typical.has_bounds or self.affine.is_strongly_monotone is False:
+        if not typical.is_affine or typical.box is not None or self.affine.is_strongly_monotone is False:
             raise ValueError(
                 "RandomSaturating needs a family of affine games without bounds that are strongly monotone, such as "
                 f"RandomAffine(), got {type(self.affine).__name__}"

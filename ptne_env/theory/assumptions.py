@@ -287,7 +287,7 @@ def _costs_on_ray(
 
 
 def _is_strictly_convex(game: Game, points: FloatArray, player: int, direction: FloatArray) -> bool:
-    if game.has_bounds:  # between two points of the box
+    if game.box is not None:  # between two points of the box
         direction = np.where(direction != 0, np.roll(points, 1, axis=1) - points, 0.0) / 2
         points = points + direction
     low, middle, high = _costs_on_ray(game, points, player, direction, (-1.0, 0.0, 1.0))

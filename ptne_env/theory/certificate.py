@@ -186,7 +186,7 @@ class _Prediction:
         self.rate: float | None = None
         if not topology.is_random:
             self.rate = decay_rate(loop.matrices, topology, world.scenario.deadline, loop.clock)
-        self.is_linear = game.is_affine and not game.has_bounds and not law.has_memory
+        self.is_linear = game.is_affine and game.box is None and not law.has_memory
         self.digits: float | None = None
         self.deviations: tuple[str, ...] = ()
         if self.is_linear:

@@ -399,7 +399,7 @@ def _disturb(world: World, disturbance: Disturbance, estimates: FloatArray, stat
 
 def _project(estimates: FloatArray, game: Game) -> FloatArray:
     """Project the real strategies into the game's box, perhaps in place; other estimates stay."""
-    return _replace_own(game, estimates, game.project(_own(game, estimates))) if game.has_bounds else estimates
+    return estimates if game.box is None else _replace_own(game, estimates, game.project(_own(game, estimates)))
 
 
 def _own(game: Game, estimates: FloatArray) -> FloatArray:

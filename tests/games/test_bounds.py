@@ -53,7 +53,7 @@ def test_empty_or_misshapen_boxes_are_refused(low, high):
 
 def test_one_bound_is_enough_and_the_other_is_infinite():
     game = BoxedEnergy(low=5.0)
-    assert game.has_bounds
+    assert game.box is not None
     assert game.box[1].tolist() == [[np.inf]] * 5
     matrix = game.jacobian(np.zeros((5, 1)))[1:, :, 0]
     rest = np.linalg.solve(matrix[:, 1:], 2 * game.targets[1:, 0] - 10 - matrix[:, 0] * 5.0)

@@ -73,7 +73,7 @@ def responds_with_numpy_alone(game):
 
     No other formula of the library's games and channels does; the regret on JAX is then refused.
     """
-    is_coupled = isinstance(game, AffineGame) and game.has_bounds and not game._is_separable
+    is_coupled = isinstance(game, AffineGame) and game.box is not None and not game._is_separable
     return is_coupled or isinstance(game, SaturatingGame | CostGame)
 
 
