@@ -1,6 +1,9 @@
-"""Training: ``jax_ppo`` and ``through_world`` on JAX, ``ppo`` with Stable-Baselines3; all write a policy and a curve.
+"""Training: ``jax_ppo`` and ``through_world`` on JAX, ``ppo`` with Stable-Baselines3.
 
-``ppo`` needs the extra ``pip install "ptne-env[sb3]"``, the others the extra ``ptne-env[jax]``.
+``ptne train NAME --algorithm ALGORITHM --out DIR`` runs them. ``DIR`` then holds ``policy.npz``, which
+:func:`ptne_env.learn.load` loads, ``summary.json``, ``configuration.json``, the learning curve (``evaluations.npz``),
+and checkpoints, from which the same command resumes an interrupted run. ``ppo`` needs the extra
+``pip install "ptne-env[sb3]"``, the others the extra ``ptne-env[jax]``.
 """
 
 from collections.abc import Mapping

@@ -3,11 +3,7 @@
 Independent learners (C. Schroeder de Witt et al., arXiv:2011.09533), feed-forward or with a gated recurrent unit, and
 multi-agent PPO (C. Yu et al., arXiv:2103.01955), whose critic sees the state. Critics read what the actor remembers
 instead of having a memory of their own, which is faster. Everything from rollout to update is one ``lax.scan``,
-as in PureJaxRL and JaxMARL.
-
-``ptne train TRACK --out DIR`` runs it. ``DIR`` then holds ``policy.npz``, ``summary.json``, ``configuration.json``, the
-learning curve (``evaluations.npz``) and ``checkpoint.npz``, from which the same command resumes an interrupted run: bit
-for bit, so that it ends as if nothing had happened.
+as in PureJaxRL and JaxMARL. A run is resumed bit for bit, so that it ends as if nothing had happened.
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
 """PPO of Stable-Baselines3 on a scenario, with a network that all players share.
 
-Run it with ``ptne train random-energy --algorithm sb3-ppo --out DIR``. ``DIR`` then holds ``policy.npz`` (load it with
-:func:`ptne_env.learn.load`), ``summary.json``, ``configuration.json``, the evaluations of the learning curve
-(``evaluations.npz``), and models of Stable-Baselines3 in ``checkpoints``. The same command resumes an interrupted run
-from the last of them. An uninterrupted run ends with the same policy on the same machine; a resumed one draws other
-games and other noise from there on, so it ends with another policy.
+An uninterrupted run ends with the same policy on the same machine. A resumed one draws other games and other noise from
+its last checkpoint on, so it ends with another policy.
 """
 
 from __future__ import annotations

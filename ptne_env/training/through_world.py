@@ -1,9 +1,7 @@
 """Training through the world: a recurrent policy learns by gradients of its digits that flow through the dynamics.
 
 Back-propagation through windows of the JAX world; states and memories go on from window to window (truncated
-back-propagation, analytic policy gradients). ``ptne train SCENARIO --algorithm through-world --out DIR`` runs it.
-``DIR`` then holds ``policy.npz``, from which the same command resumes an interrupted run, ``summary.json``,
-``configuration.json`` and the learning curve, ``evaluations.npz``.
+back-propagation, analytic policy gradients). The policy so far is the checkpoint.
 """
 
 from __future__ import annotations
