@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from baselines.published import markdown
 from ptne_env import get_scenario
 from ptne_env.evaluation import PolicySpec, evaluate, get_policy_spec
 from ptne_env.laws import Static
@@ -83,20 +84,15 @@ def main() -> None:
     groups |= {
         f"random, {players}": [random_graph(players, seed) for seed in range(arguments.graphs)] for players in (10, 20)
     }
-    print("| Graph | λ |", " | ".join(f"`{name}`" for name in ("balanced", *LAWS)), "|")
-    print("| --- |", "---: | " * (len(LAWS) + 2))
+    table = []
     for name, graphs in groups.items():
         undirected = [both_ways(graph) for graph in graphs]
         rows = ("undirected", undirected, perfect), ("directed", graphs, perfect), ("directed, noise", graphs, NOISE)
         for kind, played, channel in rows:
             connectivity = np.mean([graph.algebraic_connectivity for graph in played])
             digits = np.mean([mean_digits(graph, channel, arguments.episodes) for graph in played], axis=0)
-            print(
-                f"| {name}, {kind} | {connectivity:.2f} |",
-                " | ".join(f"{mean:.2f}" for mean in digits),
-                "|",
-                flush=True,
-            )
+            table.append([f"{name}, {kind}", *(f"{number:.2f}" for number in (connectivity, *digits))])
+    print(markdown(["Graph", "λ", *(f"`{name}`" for name in ("balanced", *LAWS))], table))
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from baselines.published import MINUS_BEST_LAW, PPO, best_law, markdown, plain, read, with_interval
+from baselines.published import MINUS_BEST_LAW, PPO, best_law, interval_of, markdown, plain, read, with_interval
 from ptne_env import PolicySpec, evaluate, get_scenario, learn, parallel_env
 from ptne_env.evaluation import Results, get_policy_spec
 from ptne_env.evaluation.tracks import Teammates, Track
@@ -254,8 +254,7 @@ def trained(name: str, out: Path) -> PolicySpec:
 
 def digits(results: Results, track: str, policy: str) -> str:
     """The mean with its interval, and the spread over training seeds."""
-    record = results.record(track, policy, "digits")
-    return f"{record['mean']:.2f} [{record['low']:.2f}, {record['high']:.2f}]{spread(results, track, policy)}"
+    return with_interval(interval_of(results.record(track, policy, "digits"))) + spread(results, track, policy)
 
 
 def spread(results: Results, track: str, policy: str) -> str:
