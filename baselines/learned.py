@@ -323,8 +323,8 @@ def table(out: Path) -> None:
 
 
 def fill_parts(text: str, parts: Mapping[str, str]) -> str:
-    """The document with what stands between its marks ``<!-- part NAME -->`` and ``<!-- end -->``."""
-    mark = re.compile(r"(<!-- part (\w+) -->(\n?)).*?(<!-- end -->)", re.DOTALL)
+    """The document with what stands between its marks ``<!-- part NAME -->`` and ``<!-- end of part -->``."""
+    mark = re.compile(r"(<!-- part (\w+) -->(\n?)).*?(<!-- end of part -->)", re.DOTALL)
     return mark.sub(lambda found: f"{found[1]}{parts[found[2]]}{found[3]}{found[4]}", text)
 
 

@@ -168,7 +168,7 @@ def test_the_script_of_the_learned_policies_fills_all_parts_of_its_page_and_leav
     text, names = page.read_text(encoding="utf-8"), ("specialists", "limit", "outside", "tracks", "summary")
     filled = learned.fill_parts(text, {name: f"\\1 {name}" for name in names})
     assert [filled.count(f"<!-- part {name} -->") + filled.count(f"\\1 {name}") for name in names] == [2] * 5
-    assert filled.count("<!-- end -->") == text.count("<!-- end -->") == 5
+    assert filled.count("<!-- end of part -->") == text.count("<!-- end of part -->") == 5
     assert "| " not in filled
 
 
