@@ -3,6 +3,8 @@
     tune [ALGORITHM]...     20 settings of each algorithm, for 5 M agent-steps on two tracks, beside the defaults
     train [ALGORITHM]...    the defaults with five seeds on every track of ptne-v1, for 20 M agent-steps, or for 50 M
                             where the last fifth of those gained 0.05 digits or more
+    publish                 play what was trained on the test episodes, write ``algorithms.csv``, and let the seeds of
+                            ``ippo`` with the most digits on validation episodes replace the shipped files
 
 Every run has a folder in ``--out``, and one core; a run that has ended is not repeated.
 """
@@ -12,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
 from time import process_time
@@ -21,9 +23,15 @@ import numpy as np
 from joblib import Parallel, delayed
 from scipy.stats import qmc
 
+from baselines.published import ALGORITHMS as ROWS
+from baselines.published import PPO, TRAINING_METRICS, Row, interval_of, write_rows
+from ptne_env import learn
+from ptne_env.evaluation import evaluate, get_policy_spec
+from ptne_env.execution import Runner, Workers
+from ptne_env.shared.files import write_atomically
 from ptne_env.suites import get_suite
 from ptne_env.training import TRAINERS
-from ptne_env.training.configuration import Configuration
+from ptne_env.training.configuration import POLICY, Configuration
 from ptne_env.training.curve import FLAT, last_gain
 
 ALGORITHMS = tuple(name for name, trainer in TRAINERS.items() if trainer.module == "jax_ppo")
@@ -117,10 +125,57 @@ def train(algorithms: Sequence[str], out: Path, jobs: int) -> None:
         train_all(runs, jobs)
 
 
+def trained(out: Path) -> Iterator[tuple[str, str, Path]]:
+    """The tracks and algorithms of which all seeds have ended, and the folder of the longest training."""
+    for track in TRACKS:
+        for algorithm in ALGORITHMS:
+            folders = [folder_of(algorithm, track, steps, out) for steps in reversed(BUDGETS)]
+            ended = [folder for folder in folders if len([*folder.glob("seed-*/summary.json")]) == len(SEEDS)]
+            yield from ((track, algorithm, folder) for folder in ended[:1])
+
+
+def rows_of(track: str, algorithm: str, folder: Path, runner: Runner) -> list[Row]:
+    """The rows of an algorithm on a track, from its runs and the test episodes of ptne-v1."""
+    spec = get_policy_spec(f"{algorithm}={folder}/seed-*/{POLICY}")
+    name = f"ptne-v1/{track}"
+    results = evaluate([spec], name, run=runner)
+    means = results.samples[name, algorithm]["digits"].mean(axis=1)
+    summaries = [json.loads(path.read_text()) for path in folder.glob("seed-*/summary.json")]
+    seconds = [json.loads(path.read_text()) for path in folder.glob("seed-*/core-seconds.json")]
+    steps = fmean(summary["agent_steps"] for summary in summaries)
+    numbers = means.std(ddof=1), len(means), steps / 1e6, fmean(seconds) / 60, gain(folder)
+    common = {"suite": "algorithms", "track": track, "policy": algorithm}
+    return [
+        common | {"metric": "digits"} | interval_of(results.record(name, algorithm, "digits")),
+        *(
+            common | {"metric": metric, "mean": f"{number:.7g}"}
+            for metric, number in zip(TRAINING_METRICS, numbers, strict=True)
+        ),
+    ]
+
+
+def ship(track: str, folder: Path) -> None:
+    """Replace the file of a track by that of the seed with the most digits on validation episodes."""
+    best = max(folder.glob("seed-*"), key=lambda seed: json.loads((seed / "summary.json").read_text())["digits"])
+    path = Path(learn.__file__).parent / f"{PPO}-{track}.npz"
+    write_atomically(path, (best / POLICY).read_bytes())
+    print(f"{path.name}: {best}")
+
+
+def publish(out: Path, jobs: int) -> None:
+    """Write the rows of everything that is trained, and the files of ``ippo``."""
+    runner, rows = Runner(out / "jobs", Workers(jobs)), list[Row]()
+    for track, algorithm, folder in trained(out):
+        rows += rows_of(track, algorithm, folder, runner)
+        if algorithm == PPO:
+            ship(track, folder)
+    write_rows(ROWS, rows)
+
+
 def main() -> None:
-    """Tune or train."""
+    """Tune, train or publish."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=["tune", "train"])
+    parser.add_argument("command", choices=["tune", "train", "publish"])
     parser.add_argument("algorithms", nargs="*", default=ALGORITHMS, metavar="ALGORITHM")
     parser.add_argument("--out", type=Path, default=Path("runs"))
     parser.add_argument("--jobs", type=int, default=-1)
@@ -128,6 +183,8 @@ def main() -> None:
     if arguments.command == "tune":
         for algorithm in arguments.algorithms:
             tune(algorithm, arguments.out, arguments.jobs)
+    elif arguments.command == "publish":
+        publish(arguments.out, arguments.jobs)
     else:
         train(arguments.algorithms, arguments.out, arguments.jobs)
 

@@ -18,10 +18,13 @@ from baselines import edge_cases, pages
 from baselines.published import (
     ALL,
     FAILED,
+    LEAD,
     MINUS_BEST_LAW,
     MINUS_PAPER,
+    PPO,
     RESULTS,
     ROOT,
+    TRAINED,
     WORLDS,
     Row,
     documents,
@@ -44,7 +47,9 @@ METRICS = (*SHOWN, "settling_time", "settled_share", "diverged_share")
 
 
 def differences_of(results: Results, label: str, tracks: Sequence[str]) -> Iterable[Row]:
-    """The rows of paired differences: of each policy that plays these tracks from the best other law and the paper's.
+    """The rows of paired differences between policies that play these tracks.
+
+    They are those of each from the best other law and the paper's, and that of the best of three from the second.
 
     Args:
         results: the results.
@@ -56,13 +61,17 @@ def differences_of(results: Results, label: str, tracks: Sequence[str]) -> Itera
         for name in results.policies
         if all((track, name) in results.samples for track in tracks)
     }
-    laws = sorted((name for name in digits if results.policies[name].is_law), key=lambda name: -digits[name])
+    best_first = sorted(digits, key=lambda name: -digits[name])
+    laws = [name for name in best_first if results.policies[name].is_law]
+    three = [name for name in best_first if name in (*laws[:1], PPO, TRAINED)]
+    pairs = [(LEAD, *three[:2])] * (len(three) > 1)
     for policy in digits:
-        best = next((name for name in laws if name != policy), policy)
-        for metric, other in ((MINUS_BEST_LAW, best), (MINUS_PAPER, LAW)):
-            if other != policy and other in digits:
-                row = {"suite": results.name, "track": label, "policy": policy, "metric": metric}
-                yield row | interval_of(results.difference(policy, other, tracks))
+        pairs += [(MINUS_BEST_LAW, policy, next((name for name in laws if name != policy), policy))]
+        pairs += [(MINUS_PAPER, policy, LAW)]
+    for metric, policy, other in pairs:
+        if other != policy and other in digits:
+            row = {"suite": results.name, "track": label, "policy": policy, "metric": metric}
+            yield row | interval_of(results.difference(policy, other, tracks))
 
 
 def rows_of(results: Results) -> Iterable[Row]:

@@ -23,6 +23,9 @@ from ptne_env.world.world import World
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "baselines" / "results.csv"
+ALGORITHMS = RESULTS.with_name("algorithms.csv")
+"""The rows of :mod:`baselines.algorithms`, in the columns of ``results.csv``."""
+
 INTERVAL = ("mean", "low", "high")
 COLUMNS = ("suite", "track", "policy", "metric", *INTERVAL, "episodes")
 SEEN, *FRESH = WORLDS = {"robustness": 1, "robustness-2": 2, "robustness-3": 3, "robustness-4": 4}
@@ -31,7 +34,7 @@ SEEN, *FRESH = WORLDS = {"robustness": 1, "robustness-2": 2, "robustness-3": 3, 
 FAILED = "failed"
 """The metric that is 1 where a policy raised an error, or answered in another form."""
 
-TRAINED, PPO = "recurrent-random-worlds", "ppo-ptne-v1"
+TRAINED, PPO = "recurrent-random-worlds", "ippo"
 SHOWN = (
     *("static", "grounded", "routed-unknown", "relay", PPO, TRAINED),
     *("coded-relay", "coded-network", "oracle"),
@@ -49,8 +52,15 @@ HEADINGS = "digits", "on the way", "worst tenth"
 MINUS_BEST_LAW, MINUS_PAPER = "digits_minus_best_law", "digits_minus_static"
 """The digits of a policy minus those of the best law, but itself, and of the paper's law, in the same episodes."""
 
+LEAD = "lead"
+"""The digits of the best of the best law, ``PPO`` and ``TRAINED`` minus those of the second."""
+
 ALL = "all"
 """The track of scores, which are over all tracks."""
+
+TRAINING_METRICS = "spread", "seeds", "million_agent_steps", "core_minutes", "last_gain"
+"""Of an algorithm on a track: the standard deviation of the digits over seeds, the number of seeds, and the budget, the
+time and the gain of the last fifth of one."""
 
 Row = dict[str, str]
 
@@ -146,19 +156,19 @@ def best_law(numbers: Published, suite: str, track: str) -> tuple[str, Row]:
 def headline(numbers: Published) -> str:
     """The paper's law, the best law, PPO and the recurrent network on each track of ptne-v1.
 
-    Of the best law and the network, the one that leads is bold: the interval of their paired difference is clear of 0.
+    Of the last three, the one that leads is bold: the interval of its paired difference from the second is above 0.
     """
     rows = []
     for track in (*numbers.names("track", "ptne-v1"), ALL):
-        name, best = best_law(numbers, "ptne-v1", track)
-        paper, ppo, trained = (plain(numbers.cell("ptne-v1", track, policy)) for policy in ("static", PPO, TRAINED))
-        lead = summary(numbers.cell("ptne-v1", track, TRAINED, MINUS_BEST_LAW))
-        law = f"{plain(best)} {name}"
-        if lead is not None and lead.low is not None and lead.high is not None:
-            trained, law = f"**{trained}**" if lead.low > 0 else trained, f"**{law}**" if lead.high < 0 else law
-        cells = [paper, law, ppo, trained]
+        name, _ = best_law(numbers, "ptne-v1", track)
+        cells = [plain(numbers.cell("ptne-v1", track, "static"))]
+        for policy in (name, PPO, TRAINED):
+            lead = summary(numbers.cell("ptne-v1", track, policy, LEAD))
+            text = f"{plain(numbers.cell('ptne-v1', track, policy))}{f' {name}' * (policy == name)}"
+            cells.append(f"**{text}**" if lead and lead.low is not None and lead.low > 0 else text)
         rows.append(["**score**" if track == ALL else track, *cells])
-    return markdown(["track", "the paper's law", "best law", "PPO on nominal", "trained through the world"], rows)
+    columns = "the paper's law", "best law", "PPO trained on the track", "one network for all tracks"
+    return markdown(["track", *columns], rows)
 
 
 def overall(numbers: Published) -> str:
@@ -172,6 +182,21 @@ def overall(numbers: Published) -> str:
         for policy in (row["policy"] for row in numbers.rows if lies_in(row, "ptne-v1", ALL, "digits"))
     ]
     return markdown(["policy", "score", *HEADINGS[1:], "mean rank"], rows)
+
+
+def algorithms(numbers: Published) -> str:
+    """What algorithms of reinforcement learning reach on the tracks on which they were trained, and at what price."""
+    suite, rows = "algorithms", []
+    for track in numbers.names("track", suite):
+        for policy, row in numbers.by_policy(suite, track).items():
+            spread, *counts, gain = (
+                float(numbers.by_policy(suite, track, metric)[policy]["mean"]) for metric in TRAINING_METRICS
+            )
+            seeds, millions, minutes = counts
+            digits = f"{with_interval(row)} ± {spread:.2f}"
+            rows.append([track, policy, digits, f"{seeds:.0f}", f"{millions:.0f} M", f"{minutes:.1f}", f"{gain:.2f}"])
+    columns = "digits", "seeds", "agent-steps", "core minutes", "last fifth gained"
+    return markdown(["track", "algorithm", *columns], rows)
 
 
 def lies_in(row: Row, *place: str) -> bool:
@@ -286,6 +311,7 @@ TABLES: dict[str, Callable[[Published], str]] = {
     "robustness-fresh": lambda numbers: shortfalls(numbers, FRESH),
     "robustness-failures": failed_worlds,
     "edge-cases": edges,
+    "algorithms": algorithms,
     "catalogue": lambda numbers: by_track(numbers, "comparison", SHOWN_ON_SCENARIOS),
     "catalogue-all": lambda numbers: all_policies(numbers, "comparison"),
 }
@@ -318,6 +344,9 @@ def documents() -> list[Path]:
 
 
 def read(path: Path = RESULTS) -> Published:
-    """The published numbers."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return Published(list(csv.DictReader(file)))
+    """The published numbers, with those of the algorithms."""
+    rows: list[Row] = []
+    for source in (path, ALGORITHMS):
+        with source.open(encoding="utf-8", newline="") as file:
+            rows += csv.DictReader(file)
+    return Published(rows)

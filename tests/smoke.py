@@ -38,17 +38,15 @@ def bench():
 
     command = Path(sysconfig.get_path("scripts")) / "ptne"
     listed = subprocess.run([command, "list"], capture_output=True, text=True, check=True).stdout  # noqa: S603
-    names = learn.shipped_names()
-    assert names
     assert "energy-switching" in listed
-    policy = learn.load(names[0])
-    scenario = ptne_env.get_scenario(policy.metadata.training["scenario"])
-    results = ptne_env.evaluate(["static", names[0]], scenario, episodes=3)
-    assert results.record(scenario.name, names[0], "digits")["mean"] > 1
+    policy, track = "ippo", "switching-physical"
+    assert f"{policy}-{track}" in learn.shipped_names()
+    results = ptne_env.evaluate(["static", policy], f"ptne-v1/{track}", episodes=3)
+    assert results.record(track, policy, "digits")["mean"] > 3
     page = [command, "compare", "energy", "--policy", "static", "--episodes", "2", "--out", "out"]
     subprocess.run(page, capture_output=True, check=True)  # noqa: S603
     assert "</html>" in Path("out/report.html").read_text(encoding="utf-8")
-    return policy.name
+    return policy
 
 
 if __name__ == "__main__":

@@ -9,8 +9,8 @@ import pytest
 import release_check
 from scipy import stats
 
-from baselines import directed, edge_cases, learned, pages, publish, published, ranking, tune
-from ptne_env import CATALOGUE, theory
+from baselines import algorithms, directed, edge_cases, learned, pages, publish, published, ranking, tune
+from ptne_env import CATALOGUE, evaluate, learn, theory
 from ptne_env.evaluation import CODED, ENTERED, POLICIES, EpisodeSet
 from ptne_env.evaluation.comparison import Job
 from ptne_env.evaluation.tracks import compared_tracks
@@ -18,6 +18,8 @@ from ptne_env.execution import Runner
 from ptne_env.perception.encoder import Encoder
 from ptne_env.suites import get_suite, leaderboard, run_suite
 from ptne_env.suites.robustness import robustness
+from ptne_env.training.configuration import RunSummary, write_record
+from ptne_env.training.curve import write_learning_curve
 from ptne_env.world.world import World
 
 EPISODES = 20
@@ -83,7 +85,7 @@ def test_the_published_numbers_are_of_policies_scenarios_and_tracks_that_exist()
 
 
 def test_a_small_run_gives_rows_from_which_every_table_of_the_suite_is_written(tmp_path):
-    policies = ["static", "relay", "coded-relay", published.TRAINED, "oracle"]
+    policies = ["static", "relay", "coded-relay", published.PPO, published.TRAINED, "oracle"]
     results = run_suite("ptne-v1", policies, tracks=["uneven-box", "switching-physical"], episodes=8)
     rows = list(publish.rows_of(results))
     published.write_rows(tmp_path / "results.csv", rows)
@@ -92,11 +94,13 @@ def test_a_small_run_gives_rows_from_which_every_table_of_the_suite_is_written(t
     cell = numbers.cell("ptne-v1", "switching-physical", published.TRAINED, published.MINUS_BEST_LAW)
     assert float(cell["low"]) == pytest.approx(lead.low, rel=1e-6)
     assert lead.low > 0
-    law = results.record("uneven-box", "static", "digits")["mean"]
-    network = results.record("switching-physical", published.TRAINED, "digits")["mean"]
     table = published.headline(numbers)
-    assert re.search(rf"\| uneven-box .*\| \*\*{law:.2f} static\*\* \|", table)  # each where it leads
-    assert re.search(rf"\| switching-physical .*\| \*\*{network:.2f}\*\* \|", table)
+    for track, first in (("uneven-box", "static"), ("switching-physical", published.TRAINED)):
+        digits = f"{results.record(track, first, 'digits')['mean']:.2f}{' static' * (first == 'static')}"
+        lead = results.difference(first, published.PPO, track)
+        bold = re.escape(f"**{digits}**" if lead.low > 0 else digits)
+        assert re.search(rf"\| {track} .*\| {bold} \|", table)
+    assert "**" in table.replace("**score**", "")
     score = next(row for row in leaderboard(results) if row.policy == "static")
     digits, on_the_way, worst = (
         f"{summary.mean:.2f}" for summary in (score.score, score.on_the_way, score.worst_tenth)
@@ -104,6 +108,32 @@ def test_a_small_run_gives_rows_from_which_every_table_of_the_suite_is_written(t
     assert re.search(rf"\| static \| {digits} \[.*\] \| {on_the_way} \[.*\] \| {worst} ", published.overall(numbers))
     assert numbers.ranked("ptne-v1", "uneven-box") == [*results.ranked("uneven-box")]
     assert "zero-input" in published.all_policies(numbers, "ptne-v1")
+
+
+def test_what_is_trained_gives_a_row_and_the_best_seed_on_validation_episodes_ships(tmp_path, monkeypatch):
+    shipped = learn.shipped_path("ippo-rounding").read_bytes()
+    for seed in algorithms.SEEDS:
+        run = algorithms.folder_of("ippo", "rounding", 20_000_000, tmp_path) / f"seed-{seed}"
+        run.mkdir(parents=True)
+        (run / "policy.npz").write_bytes(learn.shipped_path("ippo-nominal").read_bytes() if seed < 4 else shipped)
+        (run / "core-seconds.json").write_text("90.0")
+        write_record(run / "summary.json", RunSummary(20_480_000, 0, 90.0, digits=seed / 2))
+        write_learning_curve(run, [0, 80, 100], [[0.0, 0.0], [2.0, 2.0], [2.0, 2.0 + seed / 100]])
+    monkeypatch.setattr(algorithms, "ROWS", tmp_path / "algorithms.csv")
+    monkeypatch.setattr(published, "ALGORITHMS", tmp_path / "algorithms.csv")
+    monkeypatch.setattr(learn, "__file__", str(tmp_path / "__init__.py"))
+    algorithms.publish(tmp_path, jobs=1)
+    assert (tmp_path / "ippo-rounding.npz").read_bytes() == shipped
+    digits = {
+        name: evaluate({name: learn.load(f"ippo-{name}")}, "ptne-v1/rounding").samples["ptne-v1/rounding", name][
+            "digits"
+        ]
+        for name in ("nominal", "rounding")
+    }
+    means = [*4 * [digits["nominal"].mean()], digits["rounding"].mean()]
+    line = published.algorithms(published.read()).splitlines()[-1]
+    assert line.startswith(f"| rounding | ippo | {np.mean(means):.2f} [")
+    assert line.endswith(f"± {np.std(means, ddof=1):.2f} | 5 | 20 M | 1.5 | 0.01 |")
 
 
 def test_tables_of_random_worlds_count_failures_and_shortfalls_behind_the_best_rival():

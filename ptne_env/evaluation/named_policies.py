@@ -5,14 +5,10 @@ A new law is its file in :mod:`ptne_env.laws`, its id in :data:`ptne_env.shared.
 
 from __future__ import annotations
 
-from ptne_env.learn.policy_files import DATA
+from ptne_env.learn.policy_files import DATA, TRACK
 from ptne_env.shared.parts import FactorySpec
 
 part = FactorySpec.of
-
-
-def _network(scenario: str) -> tuple[str, FactorySpec]:
-    return f"A network that PPO trained on {scenario}.", DATA.spec(f"ppo-{scenario}")
 
 
 def _recurrent(name: str, where: str) -> tuple[str, FactorySpec]:
@@ -49,10 +45,10 @@ _COMPARED = {
         "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
         part("law:relay"),
     ),
-    "ppo-random-energy": _network("random-energy"),
+    "ppo-random-energy": ("A network that PPO trained on random-energy.", DATA.spec("ppo-random-energy")),
 }
 _OTHERS = {
-    "ppo-ptne-v1": _network("ptne-v1"),
+    "ippo": ("A network for each track of ptne-v1, which independent PPO trained there.", DATA.spec(f"ippo-{TRACK}")),
     "recurrent-random-worlds": _recurrent("random-worlds", "in 38 worlds like the tracks, with other numbers"),
     "static-tuned": ("The static law with tuned weights.", part("law:static", kappa=2.2, gradient_gain=2.94)),
     "adaptive-grounded": (
