@@ -124,13 +124,9 @@ def test_what_is_trained_gives_a_row_and_the_best_seed_on_validation_episodes_sh
     monkeypatch.setattr(learn, "__file__", str(tmp_path / "__init__.py"))
     algorithms.publish(tmp_path, jobs=1)
     assert (tmp_path / "ippo-rounding.npz").read_bytes() == shipped
-    digits = {
-        name: evaluate({name: learn.load(f"ippo-{name}")}, "ptne-v1/rounding").samples["ptne-v1/rounding", name][
-            "digits"
-        ]
-        for name in ("nominal", "rounding")
-    }
-    means = [*4 * [digits["nominal"].mean()], digits["rounding"].mean()]
+    played = evaluate({name: learn.load(f"ippo-{name}") for name in ("nominal", "rounding")}, "ptne-v1/rounding")
+    nominal, rounding = (samples["digits"].mean() for samples in played.samples.values())
+    means = [nominal, nominal, nominal, nominal, rounding]
     line = published.algorithms(published.read()).splitlines()[-1]
     assert line.startswith(f"| rounding | ippo | {np.mean(means):.2f} [")
     assert line.endswith(f"± {np.std(means, ddof=1):.2f} | 5 | 20 M | 1.5 | 0.01 |")
