@@ -18,6 +18,7 @@ from ptne_env.evaluation import METRICS
 from ptne_env.evaluation.comparison import LAW
 from ptne_env.evaluation.tracks import find_track
 from ptne_env.shared.names import require_name
+from ptne_env.world.catalogue import scenario_names
 
 if TYPE_CHECKING:
     from ptne_env.training.configuration import Configuration, RunSummary
@@ -31,9 +32,8 @@ def train(
     configuration: Annotated[
         str,
         typer.Argument(
-            help="A shipped configuration by name (such as random-energy), or a .toml file; or a scenario or track "
-            "(such as robots or ptne-v1/rounding) for the default settings.",
-            autocompletion=training.configurations,
+            help="A scenario or track (such as robots or ptne-v1/rounding) for the default settings, or a .toml file.",
+            autocompletion=scenario_names,
         ),
     ],
     algorithm: Annotated[

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
+from collections.abc import Mapping
+from contextlib import ExitStack
+from functools import cache
 from glob import escape, glob
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +15,7 @@ from ptne_env.learn.layers import LayeredPolicy
 from ptne_env.learn.npz_policy import open_policy
 from ptne_env.learn.recurrent import RecurrentPolicy
 from ptne_env.perception.observation import ObservationLayout
-from ptne_env.shared.files import read_file, shipped_files
+from ptne_env.shared.files import read_file
 from ptne_env.shared.names import require_name
 from ptne_env.shared.parts import FactorySpec
 
@@ -57,14 +62,27 @@ def format_of(source: Any) -> PolicyFormat | None:
     return targets.get(source.target) if isinstance(source, FactorySpec) else None
 
 
+@cache
+def _shipped_files() -> Mapping[str, Path]:
+    """Return the policy files of the library by their names without endings, in order.
+
+    They are copies, which the end of the process removes, where the library is imported from a zip.
+    """
+    copies = ExitStack()
+    atexit.register(copies.close)
+    named = [(Path(file.name), file) for file in files("ptne_env").joinpath("learn").iterdir()]
+    shipped = sorted((path.stem, file) for path, file in named if path.suffix in DATA.endings)
+    return {name: copies.enter_context(as_file(file)) for name, file in shipped}
+
+
 def shipped_names() -> list[str]:
     """Return the names of the policies in the library."""
-    return list(shipped_files("learn", *DATA.endings))
+    return list(_shipped_files())
 
 
 def shipped_path(name: str) -> Path:
     """Return the file of a policy in the library; ``ValueError`` for another name."""
-    shipped = shipped_files("learn", *DATA.endings)
+    shipped = _shipped_files()
     return shipped[require_name("learned policy", name, shipped, "an .npz file")]
 
 

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import atexit
 import json
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
-from functools import cache
-from importlib.resources import as_file, files
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -107,19 +103,6 @@ def read_json(path: Path, kind: str) -> dict[str, Any]:
 
 def _refuse(constant: str) -> None:
     raise ValueError(f"{constant} is not JSON")
-
-
-@cache
-def shipped_files(folder: str, *endings: str) -> Mapping[str, Path]:
-    """Return the files in a folder of the library by their names without endings, in order.
-
-    They are copies, which the end of the process removes, where the library is imported from a zip.
-    """
-    copies = ExitStack()
-    atexit.register(copies.close)
-    named = [(Path(file.name), file) for file in files("ptne_env").joinpath(folder).iterdir()]
-    shipped = sorted((path.stem, file) for path, file in named if path.suffix in endings)
-    return {name: copies.enter_context(as_file(file)) for name, file in shipped}
 
 
 def require_suffix(subject: str, path: Path, known: Iterable[str]) -> str:

@@ -6,13 +6,9 @@ and checkpoints, from which the same command resumes an interrupted run. ``ppo``
 ``pip install "ptne-env[sb3]"``, the others the extra ``ptne-env[jax]``.
 """
 
-from collections.abc import Mapping
 from importlib import import_module
-from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
-
-from ptne_env.shared.files import shipped_files
 
 VALIDATION_EPISODES = 200
 """The episodes on which an exported policy is validated."""
@@ -51,8 +47,3 @@ TRAINERS = {
     "through-world": Trainer("through_world", "jax", unit="updates", episodes="the last episodes"),
 }
 """The algorithms, and what trains with each."""
-
-
-def configurations() -> Mapping[str, Path]:
-    """Return the files of the shipped configurations by name."""
-    return shipped_files("training/configurations", ".toml")

@@ -16,7 +16,7 @@ import numpy as np
 from ptne_env.shared.arrays import require_count, require_positive, require_printable, require_probability
 from ptne_env.shared.files import DamagedFileError, read_file, read_json, write_atomically
 from ptne_env.shared.names import require_name, unknown_name
-from ptne_env.training import TRAINERS, configurations
+from ptne_env.training import TRAINERS
 from ptne_env.world.catalogue import scenario_names
 
 ALGORITHMS = tuple(name for name, trainer in TRAINERS.items() if trainer.unit == "agent-steps")
@@ -83,12 +83,11 @@ class Configuration:
         """Read a configuration, and change some of its values.
 
         Args:
-            name_or_path: the name of a shipped configuration, the path of a TOML file, or the name of a scenario or
-                track, which gets the default values.
+            name_or_path: the path of a TOML file, or the name of a scenario or track, which gets the default values.
             **changes: the values that change, by name.
 
         Raises:
-            ValueError: for an unknown configuration, a file that is not TOML, or a value that is unknown, has a wrong
+            ValueError: for an unknown scenario, a file that is not TOML, or a value that is unknown, has a wrong
                 type or is out of its range.
             FileNotFoundError: when there is no such file.
         """
@@ -109,11 +108,9 @@ def _read_values(name: str) -> dict[str, Any]:
     """Return the values of a configuration without a check."""
     path = Path(name)
     if path.suffix != ".toml":
-        if name not in configurations():
-            if ":" in name or name in (scenarios := scenario_names()):
-                return {"scenario": name}
-            raise ValueError(unknown_name("configuration", name, [*configurations(), *scenarios], "a .toml file"))
-        path = configurations()[name]
+        if ":" in name or name in (scenarios := scenario_names()):
+            return {"scenario": name}
+        raise ValueError(unknown_name("scenario", name, scenarios, "a .toml file"))
     content = read_file(path)
     try:
         return tomllib.loads(content.decode())
