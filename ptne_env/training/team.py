@@ -27,7 +27,7 @@ class Team:
     def __init__(self, track: Track, world: JaxWorld) -> None:
         team = track.teammates
         if team is not None and team.policy.target != "law:static":
-            raise ValueError(f"teammates in training follow law:static; those of {track.name!r}: {team.policy}")
+            raise ValueError(f"teammates in training follow static(); those of {track.name!r}: {team.policy}")
         self.is_teammate = np.isin(np.arange(world.layout.num_players), [] if team is None else team.players)
         self.learners = np.flatnonzero(~self.is_teammate)
         self._gains = {} if team is None else dict(team.policy.arguments)
