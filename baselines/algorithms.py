@@ -3,8 +3,8 @@
     tune [ALGORITHM]...     20 settings of each algorithm, for 5 M agent-steps on two tracks, beside the defaults
     train [ALGORITHM]...    the defaults with five seeds on every track of ptne-v1, for 20 M agent-steps, or for 50 M
                             where the last fifth of those gained 0.05 digits or more
-    publish                 play what was trained on the test episodes, write ``algorithms.csv``, and let the seeds of
-                            ``ippo`` with the most digits on validation episodes replace the shipped files
+    publish                 play what was trained on the test episodes, write ``algorithms.csv``, draw the picture,
+                            and let the seeds of ``ippo`` with the most digits on validation episodes replace the files
 
 Every run has a folder in ``--out``, and one core; a run that has ended is not repeated.
 """
@@ -21,18 +21,20 @@ from time import process_time
 
 import numpy as np
 from joblib import Parallel, delayed
+from matplotlib.figure import Figure
 from scipy.stats import qmc
 
 from baselines.published import ALGORITHMS as ROWS
-from baselines.published import PPO, TRAINING_METRICS, Row, interval_of, write_rows
+from baselines.published import PPO, ROOT, TRAINED, TRAINING_METRICS, Row, best_law, interval_of, read, write_rows
 from ptne_env import learn
 from ptne_env.evaluation import evaluate, get_policy_spec
 from ptne_env.execution import Runner, Workers
 from ptne_env.shared.files import write_atomically
+from ptne_env.shared.style import COLOURS, INK, drawing, encode
 from ptne_env.suites import get_suite
 from ptne_env.training import TRAINERS
 from ptne_env.training.configuration import POLICY, Configuration
-from ptne_env.training.curve import FLAT, last_gain
+from ptne_env.training.curve import FLAT, last_gain, read_learning_curve
 
 ALGORITHMS = tuple(name for name, trainer in TRAINERS.items() if trainer.module == "jax_ppo")
 TRACKS = tuple(track.name for track in get_suite("ptne-v1").tracks)
@@ -43,6 +45,8 @@ TRIALS, TRIAL_STEPS = 20, 5_000_000
 SEEDS = range(5)
 BUDGETS = 20_000_000, 50_000_000
 """The agent-steps of a run, and of one on a track where those do not suffice."""
+
+PICTURE = ROOT / "docs" / "images" / "algorithms.png"
 
 Run = tuple[str, str, Path, dict[str, float]]
 """A track, an algorithm, the folder, and the settings that are not the defaults."""
@@ -162,14 +166,45 @@ def ship(track: str, folder: Path) -> None:
     print(f"{path.name}: {best}")
 
 
+def draw(out: Path) -> None:
+    """Draw the digits of all seeds over the minutes of a core, a track per panel, beside laws and the network."""
+    numbers, panels = read(), {track: [run for run in trained(out) if run[0] == track] for track in TRACKS}
+    with drawing("learning curves"):
+        figure = Figure(figsize=(9.0, 9.5), layout="constrained")
+        grid = figure.subplots(-(-len(panels) // 3), 3, sharex=True)
+        for axes, (track, runs) in zip(grid.flat, panels.items(), strict=False):
+            lines = {"the paper's law": "static", "best law": best_law(numbers, "ptne-v1", track)[0], TRAINED: TRAINED}
+            for (label, policy), style in zip(lines.items(), ("-.", ":", "--"), strict=True):
+                digits = float((numbers.cell("ptne-v1", track, policy) or {})["mean"])
+                axes.axhline(digits, color=INK, linestyle=style, linewidth=1, label=label)
+            for _, algorithm, folder in runs:
+                for run in sorted(folder.glob("seed-*")):
+                    steps, digits = read_learning_curve(run)
+                    minutes = json.loads((run / "core-seconds.json").read_text()) / 60 * steps / steps[-1]
+                    color = COLOURS[ALGORITHMS.index(algorithm)]
+                    axes.plot(minutes, digits, color=color, linewidth=0.8, label=algorithm)
+            axes.set(title=track, xscale="log")
+            axes.tick_params(labelbottom=True)
+            axes.xaxis.set_major_formatter("{x:g}")
+        for unused in figure.axes[len(panels) :]:
+            unused.set_axis_off()
+        figure.supxlabel("minutes of a core")
+        figure.supylabel("digits at the deadline")
+        handles, labels = figure.axes[0].get_legend_handles_labels()
+        legend = dict(zip(labels, handles, strict=True))  # a line of each
+        figure.legend(legend.values(), legend.keys(), loc="outside upper center", ncols=len(legend))
+        write_atomically(PICTURE, encode(figure, "png", dpi=110))
+
+
 def publish(out: Path, jobs: int) -> None:
-    """Write the rows of everything that is trained, and the files of ``ippo``."""
+    """Write the rows of everything that is trained, the files of ``ippo``, and the picture."""
     runner, rows = Runner(out / "jobs", Workers(jobs)), list[Row]()
     for track, algorithm, folder in trained(out):
         rows += rows_of(track, algorithm, folder, runner)
         if algorithm == PPO:
             ship(track, folder)
     write_rows(ROWS, rows)
+    draw(out)
 
 
 def main() -> None:

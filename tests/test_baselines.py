@@ -119,11 +119,13 @@ def test_what_is_trained_gives_a_row_and_the_best_seed_on_validation_episodes_sh
         (run / "core-seconds.json").write_text("90.0")
         write_record(run / "summary.json", RunSummary(20_480_000, 0, 90.0, digits=seed / 2))
         write_learning_curve(run, [0, 80, 100], [[0.0, 0.0], [2.0, 2.0], [2.0, 2.0 + seed / 100]])
+    monkeypatch.setattr(algorithms, "PICTURE", tmp_path / "algorithms.png")
     monkeypatch.setattr(algorithms, "ROWS", tmp_path / "algorithms.csv")
     monkeypatch.setattr(published, "ALGORITHMS", tmp_path / "algorithms.csv")
     monkeypatch.setattr(learn, "__file__", str(tmp_path / "__init__.py"))
     algorithms.publish(tmp_path, jobs=1)
     assert (tmp_path / "ippo-rounding.npz").read_bytes() == shipped
+    assert (tmp_path / "algorithms.png").stat().st_size > 10_000
     played = evaluate({name: learn.load(f"ippo-{name}") for name in ("nominal", "rounding")}, "ptne-v1/rounding")
     nominal, rounding = (samples["digits"].mean() for samples in played.samples.values())
     means = [nominal, nominal, nominal, nominal, rounding]
