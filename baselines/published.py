@@ -193,9 +193,9 @@ def algorithms(numbers: Published) -> str:
                 float(numbers.by_policy(suite, track, metric)[policy]["mean"]) for metric in TRAINING_METRICS
             )
             seeds, millions, minutes = counts
-            digits = f"{with_interval(row)} ± {spread:.2f}"
-            rows.append([track, policy, digits, f"{seeds:.0f}", f"{millions:.0f} M", f"{minutes:.1f}", f"{gain:.2f}"])
-    columns = "digits", "seeds", "agent-steps", "core minutes", "last fifth gained"
+            numbers_of_runs = f"{seeds:.0f}", f"{millions:.0f} M", f"{minutes:.1f}", f"{gain:.2f}"
+            rows.append([track, policy, with_interval(row), f"{spread:.2f}", *numbers_of_runs])
+    columns = "digits", "spread", "seeds", "agent-steps", "core minutes", "last fifth gained"
     return markdown(["track", "algorithm", *columns], rows)
 
 
