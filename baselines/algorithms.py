@@ -24,8 +24,18 @@ from joblib import Parallel, delayed
 from matplotlib.figure import Figure
 from scipy.stats import qmc
 
-from baselines.published import ALGORITHMS as ROWS
-from baselines.published import PPO, ROOT, TRAINED, TRAINING_METRICS, Row, best_law, interval_of, read, write_rows
+from baselines.published import (
+    PPO,
+    ROOT,
+    TRAINED,
+    TRAINING_METRICS,
+    TRAININGS,
+    Row,
+    best_law,
+    interval_of,
+    read,
+    write_rows,
+)
 from ptne_env import learn
 from ptne_env.evaluation import evaluate, get_policy_spec
 from ptne_env.execution import Runner, Workers
@@ -166,18 +176,21 @@ def ship(track: str, folder: Path) -> None:
     print(f"{path.name}: {best}")
 
 
-def draw(out: Path) -> None:
-    """Draw the digits of all seeds over the minutes of a core, a track per panel, beside laws and the network."""
-    numbers, panels = read(), {track: [run for run in trained(out) if run[0] == track] for track in TRACKS}
+def draw(trainings: Sequence[tuple[str, str, Path]]) -> None:
+    """Draw the digits of all seeds over the minutes of a core, a track per panel, beside laws and the network.
+
+    The trainings are those of :func:`trained`.
+    """
+    numbers, legend = read(), {}
     with drawing("learning curves"):
         figure = Figure(figsize=(9.0, 9.5), layout="constrained")
-        grid = figure.subplots(-(-len(panels) // 3), 3, sharex=True)
-        for axes, (track, runs) in zip(grid.flat, panels.items(), strict=False):
+        grid = figure.subplots(-(-len(TRACKS) // 3), 3, sharex=True)
+        for axes, track in zip(grid.flat, TRACKS, strict=False):
             lines = {"the paper's law": "static", "best law": best_law(numbers, "ptne-v1", track)[0], TRAINED: TRAINED}
             for (label, policy), style in zip(lines.items(), ("-.", ":", "--"), strict=True):
                 digits = float((numbers.cell("ptne-v1", track, policy) or {})["mean"])
                 axes.axhline(digits, color=INK, linestyle=style, linewidth=1, label=label)
-            for _, algorithm, folder in runs:
+            for algorithm, folder in [training[1:] for training in trainings if training[0] == track]:
                 for run in sorted(folder.glob("seed-*")):
                     steps, digits = read_learning_curve(run)
                     minutes = json.loads((run / "core-seconds.json").read_text()) / 60 * steps / steps[-1]
@@ -186,25 +199,24 @@ def draw(out: Path) -> None:
             axes.set(title=track, xscale="log")
             axes.tick_params(labelbottom=True)
             axes.xaxis.set_major_formatter("{x:g}")
-        for unused in figure.axes[len(panels) :]:
+            legend |= {line.get_label(): line for line in axes.get_lines()}  # a line of each
+        for unused in figure.axes[len(TRACKS) :]:
             unused.set_axis_off()
         figure.supxlabel("minutes of a core")
         figure.supylabel("digits at the deadline")
-        handles, labels = figure.axes[0].get_legend_handles_labels()
-        legend = dict(zip(labels, handles, strict=True))  # a line of each
         figure.legend(legend.values(), legend.keys(), loc="outside upper center", ncols=len(legend))
         write_atomically(PICTURE, encode(figure, "png", dpi=110))
 
 
 def publish(out: Path, jobs: int) -> None:
     """Write the rows of everything that is trained, the files of ``ippo``, and the picture."""
-    runner, rows = Runner(out / "jobs", Workers(jobs)), list[Row]()
-    for track, algorithm, folder in trained(out):
+    runner, rows, trainings = Runner(out / "jobs", Workers(jobs)), list[Row](), [*trained(out)]
+    for track, algorithm, folder in trainings:
         rows += rows_of(track, algorithm, folder, runner)
         if algorithm == PPO:
             ship(track, folder)
-    write_rows(ROWS, rows)
-    draw(out)
+    write_rows(TRAININGS, rows)
+    draw(trainings)
 
 
 def main() -> None:

@@ -11,7 +11,6 @@ of the suite ``robustness`` are drawn from another seed.
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import groupby
@@ -21,7 +20,7 @@ from typing import Any
 import networkx as nx
 import numpy as np
 
-from baselines.published import MINUS_BEST_LAW, best_law, interval_of, markdown, plain, read, with_interval
+from baselines.published import MINUS_BEST_LAW, best_law, fill_marks, interval_of, markdown, plain, read, with_interval
 from ptne_env import PolicySpec, evaluate, get_scenario, learn, parallel_env
 from ptne_env.evaluation import Results, get_policy_spec
 from ptne_env.evaluation.tracks import Teammates, Track
@@ -323,8 +322,7 @@ def table(out: Path) -> None:
 
 def fill_parts(text: str, parts: Mapping[str, str]) -> str:
     """The document with what stands between its marks ``<!-- part NAME -->`` and ``<!-- end of part -->``."""
-    mark = re.compile(r"(<!-- part (\w+) -->(\n?)).*?(<!-- end of part -->)", re.DOTALL)
-    return mark.sub(lambda found: f"{found[1]}{parts[found[2]]}{found[3]}{found[4]}", text)
+    return fill_marks(text, "part", "end of part", parts.__getitem__)
 
 
 def limit(name: str, episodes: int = 200) -> float:

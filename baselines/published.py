@@ -23,7 +23,7 @@ from ptne_env.world.world import World
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "baselines" / "results.csv"
-ALGORITHMS = RESULTS.with_name("algorithms.csv")
+TRAININGS = RESULTS.with_name("algorithms.csv")
 """The rows of :mod:`baselines.algorithms`, in the columns of ``results.csv``."""
 
 INTERVAL = ("mean", "low", "high")
@@ -324,12 +324,13 @@ def fill_tables(text: str, numbers: Published) -> str:
     Raises:
         KeyError: for a table of an unknown name.
     """
-    return re.sub(
-        r"(<!-- table ([\w-]+) -->\n).*?(<!-- end -->)",
-        lambda match: f"{match[1]}{TABLES[match[2]](numbers)}\n{match[3]}",
-        text,
-        flags=re.DOTALL,
-    )
+    return fill_marks(text, "table", "end", lambda name: TABLES[name](numbers))
+
+
+def fill_marks(text: str, kind: str, end: str, content_of: Callable[[str], str]) -> str:
+    """A document with the content of each name between its mark, ``<!-- kind NAME -->``, and the end."""
+    mark = re.compile(rf"(<!-- {kind} ([\w-]+) -->(\n?)).*?(<!-- {end} -->)", re.DOTALL)
+    return mark.sub(lambda match: f"{match[1]}{content_of(match[2])}{match[3]}{match[4]}", text)
 
 
 def missing(numbers: Published) -> list[str]:
@@ -346,7 +347,7 @@ def documents() -> list[Path]:
 def read(path: Path = RESULTS) -> Published:
     """The published numbers, with those of the algorithms."""
     rows: list[Row] = []
-    for source in (path, ALGORITHMS):
+    for source in (path, TRAININGS):
         with source.open(encoding="utf-8", newline="") as file:
             rows += csv.DictReader(file)
     return Published(rows)

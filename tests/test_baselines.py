@@ -120,8 +120,8 @@ def test_what_is_trained_gives_a_row_and_the_best_seed_on_validation_episodes_sh
         write_record(run / "summary.json", RunSummary(20_480_000, 0, 90.0, digits=seed / 2))
         write_learning_curve(run, [0, 80, 100], [[0.0, 0.0], [2.0, 2.0], [2.0, 2.0 + seed / 100]])
     monkeypatch.setattr(algorithms, "PICTURE", tmp_path / "algorithms.png")
-    monkeypatch.setattr(algorithms, "ROWS", tmp_path / "algorithms.csv")
-    monkeypatch.setattr(published, "ALGORITHMS", tmp_path / "algorithms.csv")
+    for module in (algorithms, published):
+        monkeypatch.setattr(module, "TRAININGS", tmp_path / "algorithms.csv")
     monkeypatch.setattr(learn, "__file__", str(tmp_path / "__init__.py"))
     algorithms.publish(tmp_path, jobs=1)
     assert (tmp_path / "ippo-rounding.npz").read_bytes() == shipped
