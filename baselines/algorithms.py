@@ -20,7 +20,6 @@ from statistics import fmean
 from time import process_time
 
 import numpy as np
-from joblib import Parallel, delayed
 from matplotlib.figure import Figure
 from scipy.stats import qmc
 
@@ -77,7 +76,7 @@ def candidates() -> list[dict[str, float]]:
     ]
 
 
-def train_one(track: str, algorithm: str, out: Path, **settings: float) -> float:
+def train_one(track: str, algorithm: str, out: Path, settings: dict[str, float]) -> float:
     """Train in this process, write down the seconds of its core, and return the digits on validation episodes."""
     began, record = process_time(), out / "core-seconds.json"
     configuration = Configuration(f"ptne-v1/{track}", algorithm, **settings)  # type: ignore[arg-type]  # by name
@@ -92,11 +91,8 @@ def train_one(track: str, algorithm: str, out: Path, **settings: float) -> float
 def train_all(runs: Sequence[Run], jobs: int) -> list[float]:
     """Train each on a core."""
     os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-    return list(
-        Parallel(jobs, batch_size=1)(
-            delayed(train_one)(track, algorithm, out, **settings) for track, algorithm, out, settings in runs
-        )
-    )
+    digits = dict(Workers(jobs).run(train_one, runs))
+    return [digits[index] for index in range(len(runs))]
 
 
 def tune(algorithm: str, out: Path, jobs: int) -> None:
