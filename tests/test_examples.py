@@ -24,9 +24,8 @@ def test_readme_lists_every_example():
 def quick_copy(example, folder):
     """A copy with fewer episodes, environments and agent-steps; the test is skipped where a library is missing."""
     source = example.read_text("utf-8")
-    for library in ("stable_baselines3", "tensorboard", "wandb"):
-        if library in source:
-            pytest.importorskip(library, reason=f"needs {library}")
+    if "stable_baselines3" in source:
+        pytest.importorskip("stable_baselines3", reason="needs the extra 'sb3'")
     source = re.sub(r"(?i)\b(episodes ?= ?)\d+", r"\g<1>2", source).replace("learn(150_000", "learn(2_000")
     source = re.sub(r"num_envs=(32|20)\b", "num_envs=4", source)
     copy = folder / example.name
@@ -36,11 +35,9 @@ def quick_copy(example, folder):
 
 @pytest.mark.parametrize("example", [each for each in EXAMPLES if each.suffix == ".py"], ids=lambda path: path.stem)
 def test_example_runs_without_a_warning(example, tmp_path):
-    is_foreign = "wandb" in example.stem  # which writes to stderr, and warns
-    done = run_python(*["-W", "error"] * (not is_foreign), quick_copy(example, tmp_path), folder=tmp_path)
+    done = run_python("-W", "error", quick_copy(example, tmp_path), folder=tmp_path)
     assert done.stdout
-    assert is_foreign or done.stderr == ""
-    assert ("log_to" in example.stem) == any(tmp_path.glob("runs/*/events.*"))
+    assert done.stderr == ""
 
 
 def test_the_notebook_runs_to_its_picture_and_stores_no_output(tmp_path):

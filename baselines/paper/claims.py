@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -236,8 +237,9 @@ def _solve(
     factor: Callable[..., FloatArray], matrix: FloatArray, initial: FloatArray, instants: FloatArray
 ) -> FloatArray:
     """The solution of de/dz = −factor(z) M e at some instants z."""
-    span = (float(instants[0]), float(instants[-1]))
-    step = float(np.diff(instants).min())  # interpolation within longer steps is less accurate than the steps are
-    accuracy = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14, "max_step": step}
-    solution = integrate.solve_ivp(lambda z, e: -factor(z) * (matrix @ e), span, initial, t_eval=instants, **accuracy)
-    return np.asarray(solution.y.T)
+    states = [initial]
+    for span in pairwise(instants):  # interpolation within a step is less accurate than its end is
+        accuracy = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14}
+        solution = integrate.solve_ivp(lambda z, e: -factor(z) * (matrix @ e), span, states[-1], **accuracy)
+        states.append(solution.y[:, -1])
+    return np.array(states)
