@@ -21,7 +21,7 @@ import networkx as nx
 import numpy as np
 
 from baselines.published import best_law, fill_marks, interval_of, markdown, plain, read, with_interval
-from ptne_env import PolicySpec, evaluate, get_scenario, learn, parallel_env
+from ptne_env import PolicySpec, evaluate, get_scenario, learn
 from ptne_env.evaluation import Results, get_policy_spec
 from ptne_env.evaluation.tracks import Teammates, Track
 from ptne_env.execution import Runner, Workers
@@ -338,44 +338,9 @@ def limit(name: str, episodes: int = 200) -> float:
     return float(distances.digits(distances.estimate_distance(estimates, game)).mean())
 
 
-def draw(name: str, scenario: str, path: Path) -> None:
-    """Draw an episode of a policy: where player 1 copies from, and how far its messages are from what is true."""
-    from matplotlib.figure import Figure
-
-    env = parallel_env(scenario, interface="physical")
-    observations, _ = env.reset(seed=7)
-    policy, memory, gates, told = learn.load(name, env.layout), None, [], []
-    while env.agents:
-        rows = np.stack([observations[agent] for agent in env.agents])
-        told.append(rows[:, env.layout.slices["own_estimate"]])
-        actions, memory = policy.predict(rows, memory)
-        gates.append(memory["gates"][..., 0])
-        observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
-    shares, messages, truth = np.array(gates), np.array(told, dtype=float), env.nash_equilibrium
-    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
-    above, below = figure.subplots(2, sharex=True)
-    rows = shares.transpose(1, 2, 0).reshape(-1, len(shares))
-    image = above.imshow(
-        rows, aspect="auto", cmap="viridis", vmin=0, vmax=max(1.0, rows.max()), interpolation="nearest"
-    )
-    figure.colorbar(image, ax=above, label="share copied")
-    slots, n = env.layout.slots, env.layout.dimension
-    labels = [f"player {env.layout.neighbours[0][d] + 1}: x{c + 1}" for d in range(slots) for c in range(n)]
-    above.set_yticks(range(slots * n), labels, fontsize=7)
-    above.set_title("What player 1 copies from its two neighbours")
-    size = np.abs(messages).max((1, 2)) / np.abs(truth).max()
-    alike = [np.corrcoef(each.ravel(), np.tile(truth, len(each)))[0, 1] for each in messages]
-    below.plot(size, label="largest message over largest equilibrium strategy")
-    below.plot(alike, label="correlation of messages and equilibrium")
-    below.set(xlabel="step", ylim=(-1, None))
-    below.legend()
-    figure.savefig(path, dpi=90, metadata={"Software": None})
-    print(f"largest message {size.max():.2f} times the largest strategy; correlation at the end {alike[-1]:.6f}")
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("train", "table", "limit", "draw"))
+    parser.add_argument("command", choices=("train", "table", "limit"))
     parser.add_argument("name", nargs="?", choices=tuple(RECIPES), default=ALL)
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--out", type=Path, default=Path("runs"))
@@ -384,8 +349,5 @@ if __name__ == "__main__":
         train(given.name, [int(seed) for seed in given.seeds.split(",")], given.out)
     elif given.command == "table":
         table(given.out)
-    elif given.command == "limit":
-        print(f"{limit('random-energy-switching'):.2f} digits")
     else:
-        name = "random-energy-switching-transformed"
-        draw(f"recurrent-{name}", name, Path(__file__).parents[1] / "docs" / "images" / "learned.png")
+        print(f"{limit('random-energy-switching'):.2f} digits")

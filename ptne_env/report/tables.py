@@ -148,14 +148,14 @@ def answer(results: Results) -> tuple[str, ...]:
 
     One policy leads another one where the 95 % interval of their difference, paired by episodes, is clear of 0.
     """
-    firsts, tracks = first_places(results), results.counted_tracks
-    noun = "scenario" if results.is_comparison else "track"
-    ranked = [name for name in _rank_policies(results) if name in firsts and _list_tracks(results, name)]
-    own = [name for name in firsts if name not in POLICIES]
+    tracks, noun = results.counted_tracks, "scenario" if results.is_comparison else "track"
+    rivals = [name for name, spec in results.policies.items() if spec.is_ranked]
+    ranked = [name for name in _rank_policies(results) if name in rivals and _list_tracks(results, name)]
+    own = [name for name in rivals if name not in POLICIES]
     sentences = []
     if not ranked:
         sentences.append("No policy that is ranked has a result.")
-    elif len(firsts) == 1:
+    elif len(rivals) == 1:
         sentences.append(f"{ranked[0]} was compared with no other policy; --policy names others.")
     else:
         best, *rest = ranked
@@ -166,10 +166,6 @@ def answer(results: Results) -> tuple[str, ...]:
         sentences.append(f"{join_words([best, *equal])} {come} to the Nash equilibrium by the deadline {where}.")
         others = [name for name in rest if (name == LAW or name in own) and name not in equal]
         sentences += [_compare(results, best, other, noun) for other in others]
-        if len(tracks) > 1:
-            counts = sorted(((name, len(firsts[name])) for name in ranked), key=lambda item: -item[1])[:3]
-            shares = [f"{name} on {count} of {len(tracks)}" for name, count in counts if count]
-            sentences.append(f"On single {noun}s, no policy leads {join_words(shares)}.")
     for name in own:
         if missing := [track for track, policy in results.reasons if policy == name]:
             sentences.append(f"{name} has no result on {join_words(missing, most=3)}, for the reason below the table.")
@@ -195,21 +191,6 @@ def _compare(results: Results, best: str, other: str, noun: str) -> str:
     if difference.low > 0:
         return f"{best} leads {name} by {digits}."
     return f"{best} and {name} cannot be told apart: they differ by {digits}."
-
-
-def first_places(results: Results) -> dict[str, list[str]]:
-    """Return the counted tracks on which each ranked policy is first.
-
-    First are the best policy, and those from which the interval of its lead is not clear of 0.
-    """
-    firsts: dict[str, list[str]] = {name: [] for name, spec in results.policies.items() if spec.is_ranked}
-    for track in results.counted_tracks:
-        best, *others = [name for name in results.ranked(track) if name in firsts] or [""]
-        leads = {other: results.difference(best, other, track) for other in others}
-        equal = [other for other, lead in leads.items() if lead.low is not None and lead.low <= 0]
-        for name in filter(None, [best, *equal]):
-            firsts[name].append(track)
-    return firsts
 
 
 def _list_tracks(results: Results, policy: str) -> list[str]:
