@@ -85,7 +85,6 @@ def compare(
     ] = None,
     details: Annotated[bool, typer.Option("--details", help="Also print the tables of all metrics.")] = False,
     with_report: Annotated[bool, typer.Option("--report/--no-report", help="Write the page report.html.")] = True,
-    rerun: Annotated[bool, typer.Option("--rerun", help="Run every job again, also stored ones.")] = False,
     jobs: Annotated[int, typer.Option(help="Number of tasks at a time; -1 for one per core.")] = -1,
     ray: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Run the tasks on a Ray cluster: auto, local, or HOST:6379.")
@@ -116,7 +115,7 @@ def compare(
     run = _choose_run(suite, places, changes, policies, episodes, trust=trust)
     workers = Workers(jobs, ray)
     with progress(f"{title}: making the jobs") as advance:
-        results = run(seed=seed, run=Runner(folder, workers, advance, rerun))
+        results = run(seed=seed, run=Runner(folder, workers, advance))
     if not results.samples:
         say("\n".join(f"{name} on {place} {reason}" for (place, name), reason in results.reasons.items()))
         raise typer.Exit(ExitCode.FAILED)

@@ -79,8 +79,8 @@ def train(
     Says how many digits the last fifth of the training gained, draws the learning curve, learning-curve.png, beside the
     digits of the paper's law and of the best law, and prints the command that compares the policy.
 
-    The same command resumes an interrupted run from its last checkpoint. With sb3-ppo and through the world, its policy
-    differs from that of an uninterrupted run.
+    The same command resumes an interrupted run from its last checkpoint. Through the world, its policy differs from
+    that of an uninterrupted run; with sb3-ppo the run starts again.
     """
     from ptne_env.training.configuration import POLICY, Configuration, read_finished_run
     from ptne_env.training.curve import draw, evaluate_laws

@@ -102,13 +102,11 @@ class Runner:
         workers: the workers that run the jobs. Only the measured times of policies depend on them.
         progress: called when a job is done, with ``"track: policy"``, the work that is done and the work of all jobs,
             both in units of :func:`cost_of`.
-        rerun: whether stored jobs are run again.
     """
 
     folder: str | Path | None = None
     workers: Workers = Workers()  # noqa: RUF009 - immutable
     progress: Callable[[str, int, int], None] | None = None
-    rerun: bool = False
 
     def __call__(self, jobs: Sequence[Job]) -> list[JobResult]:
         """Return the results of jobs, in their order.
@@ -131,7 +129,7 @@ class Runner:
 
         missing = []
         for index, job in enumerate(jobs):
-            stored = None if store is None or self.rerun else store.find(job)
+            stored = None if store is None else store.find(job)
             if stored is None:
                 missing.append(index)
             else:

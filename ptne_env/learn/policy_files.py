@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import atexit
 from collections.abc import Mapping
-from contextlib import ExitStack
 from functools import cache
 from glob import escape, glob
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -64,15 +61,9 @@ def format_of(source: Any) -> PolicyFormat | None:
 
 @cache
 def _shipped_files() -> Mapping[str, Path]:
-    """Return the policy files of the library by their names without endings, in order.
-
-    They are copies, which the end of the process removes, where the library is imported from a zip.
-    """
-    copies = ExitStack()
-    atexit.register(copies.close)
-    named = [(Path(file.name), file) for file in files("ptne_env").joinpath("learn").iterdir()]
-    shipped = sorted((path.stem, file) for path, file in named if path.suffix in DATA.endings)
-    return {name: copies.enter_context(as_file(file)) for name, file in shipped}
+    """Return the policy files of the library by their names without endings, in order."""
+    paths = {path.stem: path for path in Path(__file__).parent.iterdir() if path.suffix in DATA.endings}
+    return dict(sorted(paths.items()))
 
 
 def shipped_names() -> list[str]:

@@ -2,7 +2,7 @@
 
 ``ptne train NAME --algorithm ALGORITHM --out DIR`` runs them. ``DIR`` then holds ``policy.npz``, which
 :func:`ptne_env.learn.load` loads, ``summary.json``, ``configuration.json``, the learning curve (``evaluations.npz``),
-and checkpoints, from which the same command resumes an interrupted run. ``ppo`` needs the extra
+and on JAX a checkpoint, from which the same command resumes an interrupted run. ``ppo`` needs the extra
 ``pip install "ptne-env[sb3]"``, the others the extra ``ptne-env[jax]``.
 """
 

@@ -488,7 +488,6 @@ def test_escape_sequences_of_names_and_errors_are_spelled_out(run, tmp_path):
     ("algorithm", "module", "told"),
     [
         ("ippo", "jax_ppo", ""),
-        ("sb3-ppo", "ppo", "1000 agent-steps"),
         ("through-world", "through_world", "1000 updates"),
     ],
 )

@@ -1,15 +1,11 @@
 """Reading policy files: they are data, and what is damaged, foreign, large or made for something else is refused."""
 
-from hashlib import sha256
 from pathlib import Path
-from textwrap import dedent
-from zipfile import ZipFile
 
 import numpy as np
 import pytest
 from affine_games import SOAK
 from policy_files import OBSERVATION, RECURRENT, layered, metadata, pack, pack_text, write
-from processes import run_python
 
 import ptne_env
 from ptne_env import Interface, learn
@@ -157,24 +153,6 @@ def test_a_missing_policy_names_the_shipped_ones():
         learn.load("no-such-policy")
     with pytest.raises(FileNotFoundError, match=r"there is no file 'missing\.npz'"):
         learn.load("missing.npz")
-
-
-def test_the_shipped_files_are_found_in_a_zip(tmp_path):
-    package, archive = Path(ptne_env.__file__).parent, tmp_path / "library.zip"
-    with ZipFile(archive, "w") as library:
-        for path in package.rglob("*.*"):
-            if path.suffix in (".py", ".npz"):
-                library.write(path, path.relative_to(package.parent))
-    program = """
-    import hashlib, ptne_env
-    from ptne_env import learn
-    assert ".zip" in ptne_env.__file__
-    print(*(hashlib.sha256(learn.shipped_path(name).read_bytes()).hexdigest() for name in learn.shipped_names()))
-    """
-    hashes = run_python("-c", dedent(program), modules=[archive], folder=tmp_path).stdout
-    assert hashes.split() == [
-        sha256(learn.shipped_path(name).read_bytes()).hexdigest() for name in learn.shipped_names()
-    ]
 
 
 def test_each_track_has_the_file_of_ppo_that_was_trained_on_it():
