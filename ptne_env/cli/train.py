@@ -156,8 +156,3 @@ def _say_result(policy: Path, summary: RunSummary, trainer: training.Trainer, *,
     flat = "" if gained < FLAT else ": more --steps gain more"
     say(f"{digits}, after {summary.seconds:.0f} s; {policy.name} written to {policy.parent}")
     say(f"The last fifth of the training gained {gained:.2f} digits{flat}")
-    if summary.resumed_at and not trainer.resumes_exactly:
-        say(
-            f"The run was resumed at {summary.resumed_at} {trainer.unit}: the policy is not that of an uninterrupted "
-            "run, which can be repeated"
-        )

@@ -23,7 +23,6 @@ class Trainer(NamedTuple):
         unit: what its runs are counted in.
         episodes: those whose mean digits its summaries have.
         metric: the metric of its learning curves.
-        resumes_exactly: whether a resumed run ends as if it had not been interrupted.
     """
 
     module: str
@@ -31,7 +30,6 @@ class Trainer(NamedTuple):
     unit: str = "agent-steps"
     episodes: str = f"{VALIDATION_EPISODES} validation episodes"
     metric: str = "digits"
-    resumes_exactly: bool = False
 
     def load(self) -> ModuleType:
         """Import the module; ``ImportError`` that names the extra if it is missing."""
@@ -42,7 +40,7 @@ class Trainer(NamedTuple):
 
 
 TRAINERS = {
-    **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), Trainer("jax_ppo", "jax", resumes_exactly=True)),
+    **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), Trainer("jax_ppo", "jax")),
     "sb3-ppo": Trainer("ppo", "sb3", metric="digits_gained"),
     "through-world": Trainer("through_world", "jax", unit="updates", episodes="the last episodes"),
 }
