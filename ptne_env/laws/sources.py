@@ -13,7 +13,7 @@ _MOVED = 1e-5
 """Relative change of a float32 message above which it has moved, and is not only rounded otherwise."""
 
 _LOUD = 2.0
-"""A move of more than this times the noise is news although the own copy moves too, within noise."""
+"""A move of more than this times the noise, and times any own move, is news although the own copy moves too."""
 
 
 class Contacts(NamedTuple):
@@ -27,12 +27,14 @@ class Contacts(NamedTuple):
     source: FloatArray  # whether the neighbour is a source, a player with a fresher copy, shape (R, D, n)
     votes: FloatArray  # for the neighbour less those against it, shape (R, D, n)
     news: FloatArray  # whether there is news of a component, shape (R, n)
+    most: FloatArray  # the largest own move so far, shape (R, n)
 
 
 def initial_contacts(layout: ObservationLayout) -> Contacts:
     """Return the contacts of one player at the start of an episode."""
     links, slots = np.zeros((1, layout.slots)), np.zeros((1, layout.slots, layout.dimension))
-    return Contacts(links, links, slots, slots + np.inf, slots, slots, slots, np.zeros((1, layout.dimension)))
+    none = np.zeros((1, layout.dimension))
+    return Contacts(links, links, slots, slots + np.inf, slots, slots, slots, none, none)
 
 
 def find_sources(
@@ -50,10 +52,10 @@ def find_sources(
     If only one copy has moved, it is the fresher copy, and the neighbour gets a vote for it or against it. If both have
     moved, the votes decide; with equal votes, the copy that has moved further is the fresher copy. In the first contact
     a player that has no news of c takes the neighbour's copy. During a contact, the neighbour takes the place of all
-    sources when its copy moves by more than noise while the own copy rests, or by more than twice the noise while the
-    own copy moves within noise; unless it repeats the own moves of the step before, or there is a live source and the
-    neighbour's copy moves towards the own copy. As soon as the player has met the owner of a component, the owner is
-    its only source.
+    sources when its copy moves by more than noise while the own copy rests, or by more than twice the noise, and twice
+    any own move so far, while the own copy moves within noise; unless it repeats the own moves of the step before, or
+    there is a live source and the neighbour's copy moves towards the own copy. As soon as the player has met the owner
+    of a component, the owner is its only source.
 
     On a fixed graph whose links may add constants to messages, the sources are the neighbours nearer to the owner.
 
@@ -84,7 +86,8 @@ def find_sources(
     # During a contact.
     source = (was.source > 0) & live
     wakes = (distance > distance_before) | ~_any_slot(source)
-    quiet = np.where(j_moved > floor + _LOUD * noise, floor + noise, floor)  # a copy of noise never rests
+    loud = floor + _LOUD * np.maximum(noise, was.most[:, None])
+    quiet = np.where(j_moved > loud, floor + noise, floor)  # a copy of noise never rests
     wakes &= np.abs(drift)[:, None] <= quiet
     wakes &= j_moved > floor + noise
     wakes &= np.abs(theirs - (was.before + was.moved)) > floor + noise  # else the neighbour copies the own moves
@@ -117,6 +120,7 @@ def find_sources(
         source=source.astype(np.float64),
         votes=votes,
         news=np.maximum(was.news, _any_slot(source)[:, 0]),
+        most=np.maximum(was.most, np.abs(drift)),
     )
 
 

@@ -5,6 +5,7 @@ import pytest
 from affine_games import affine_scenario, loop_start, run
 from worlds import BLOCKS, BLOCKS_SWITCHING, begin, channel_part, fixed_part, world_and_encoder
 
+from baselines.directed import random_graph
 from ptne_env import FactorySpec, evaluate, get_scenario, laws
 from ptne_env.laws import relay
 from ptne_env.laws.identification import initial_model, shorten
@@ -291,6 +292,12 @@ def test_copies_of_noise_do_not_hide_news():
     game, ring = (FactorySpec.of(part, players=8) for part in ("game:random-energy", "topology:cycle"))
     start, channel = FactorySpec.of("start:uniform", low=-0.02, high=0.02), channel_part("AdditiveNoise", std=0.01)
     assert distances_to_owners(RANDOM.replace(game=game, topology=ring, start=start, channel=channel)).max() < 0.1
+
+
+def test_late_copies_are_no_news_under_noise():
+    """On directed graphs a neighbour that does not hear the player may get the same news later, over a longer way."""
+    game, channel = FactorySpec.of("game:random-energy", players=20), channel_part("AdditiveNoise", std=0.1)
+    assert distances_to_owners(RANDOM.replace(game=game, topology=random_graph(20, 0), channel=channel)).max() < 0.2
 
 
 def test_slow_moves_add_up_to_news():

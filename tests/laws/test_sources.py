@@ -23,7 +23,7 @@ def known(slots=1, live=0.0, moved=0.0, seen=0.0, before=0.0, source=0.0, votes=
     each = [
         np.broadcast_to(np.reshape(part, (1, -1, 1)), (1, slots, 1)) for part in (moved, seen, before, source, votes)
     ]
-    return Contacts(live * links, links, *each, np.full((1, 1), news))
+    return Contacts(live * links, links, *each, np.full((1, 1), news), np.zeros((1, 1)))
 
 
 def judge(sight, was, noise=0.0):
