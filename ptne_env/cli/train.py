@@ -79,8 +79,8 @@ def train(
     Says how many digits the last fifth of the training gained, draws the learning curve, learning-curve.png, beside the
     digits of the paper's law and of the best law, and prints the command that compares the policy.
 
-    The same command resumes an interrupted run from its last checkpoint. Through the world, its policy differs from
-    that of an uninterrupted run; with sb3-ppo the run starts again.
+    The same command resumes an interrupted run from its last checkpoint. With sb3-ppo and through the world, its policy
+    differs from that of an uninterrupted run.
     """
     from ptne_env.training.configuration import POLICY, Configuration, read_finished_run
     from ptne_env.training.curve import draw, evaluate_laws
@@ -156,3 +156,8 @@ def _say_result(policy: Path, summary: RunSummary, trainer: training.Trainer, *,
     flat = "" if gained < FLAT else ": more --steps gain more"
     say(f"{digits}, after {summary.seconds:.0f} s; {policy.name} written to {policy.parent}")
     say(f"The last fifth of the training gained {gained:.2f} digits{flat}")
+    if summary.resumed_at and not trainer.resumes_exactly:
+        say(
+            f"The run was resumed at {summary.resumed_at} {trainer.unit}: the policy is not that of an uninterrupted "
+            "run, which can be repeated"
+        )

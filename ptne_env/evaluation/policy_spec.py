@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 from ptne_env.evaluation.named_policies import NO_LAWS, TABLE
 from ptne_env.evaluation.provenance import content_hash, file_hash
 from ptne_env.learn.policy_files import FORMATS, TRACK, files_by_track, find_file, format_of
-from ptne_env.learn.sb3_archive import as_trained
+from ptne_env.learn.sb3_archive import as_trained, require_one_observation
 from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError, describe
 from ptne_env.shared.arrays import require_flag, require_printable
@@ -209,11 +209,11 @@ def _require_observations_of(layout: ObservationLayout, model: Any) -> None:
     """Refuse a model of Stable-Baselines3 that was trained on other observations than a layout's."""
     expected = getattr(getattr(model, "observation_space", None), "shape", None)
     if expected not in (None, (layout.size,)):
+        require_one_observation(layout, model.observation_space, getattr(model, "action_space", None))
         raise LayoutError(
-            f"it was trained on observations of shape {expected}, and one player of this track with "
-            f"{layout.interface} has {(layout.size,)}: train it on PlayerVecEnv, not on those of all players "
-            "(JointEnv) or of several steps (VecFrameStack); if it was trained with another interface, give that one: "
-            "PolicySpec(name, model, ptne_env.Interface('physical'))"
+            f"it was trained on observations of shape {expected}, and this track with "
+            f"{layout.interface} has {(layout.size,)}; if it was trained with another interface, give that "
+            "one: PolicySpec(name, model, ptne_env.Interface('physical'))"
         )
 
 

@@ -56,7 +56,10 @@ def load_archive(path: str, layout: ObservationLayout | None = None) -> NetworkP
     interface = Interface("scaled" if is_scaled else "physical")
     made_for = {"interface": interface, "size": len(observations.low), "action_size": len(actions.low)}
     policy = NetworkPolicy(network.predict, made_for, Path(path).stem)
-    return policy if layout is None else policy.with_layout(layout)
+    if layout is None:
+        return policy
+    require_one_observation(layout, observations, actions)
+    return policy.with_layout(layout)
 
 
 def as_trained(model: Any) -> Policy:
@@ -72,6 +75,22 @@ def as_trained(model: Any) -> Policy:
     _require_raw(getattr(model, "observation_space", None), getattr(model, "_last_obs", None))
     policy: Policy = model
     return policy
+
+
+def require_one_observation(layout: ObservationLayout, observations: Any, actions: Any) -> None:
+    """Check by the spaces of a model that it was not trained on several observations at once.
+
+    Raises:
+        LayoutError: when it was.
+    """
+    size, of_all = getattr(observations, "shape", (0,))[0], (layout.num_players * layout.action_size,)
+    # JointEnv is recognised by its actions, because its interface may be another.
+    if size != layout.size and (getattr(actions, "shape", None) == of_all or (size and size % layout.size == 0)):
+        raise LayoutError(
+            "it was trained on several observations at once, those of all players (JointEnv) or of several steps "
+            "(VecFrameStack), and a player has one: train one policy for every player, on "
+            "PlayerVecEnv without a stack; what it needs of the past is the state of its predict"
+        )
 
 
 def _require_raw(space: Any, last: Any) -> None:

@@ -2,7 +2,7 @@
 
 ``ptne train NAME --algorithm ALGORITHM --out DIR`` runs them. ``DIR`` then holds ``policy.npz``, which
 :func:`ptne_env.learn.load` loads, ``summary.json``, ``configuration.json``, the learning curve (``evaluations.npz``),
-and on JAX a checkpoint, from which the same command resumes an interrupted run. ``ppo`` needs the extra
+and checkpoints, from which the same command resumes an interrupted run. ``ppo`` needs the extra
 ``pip install "ptne-env[sb3]"``, the others the extra ``ptne-env[jax]``.
 """
 
@@ -23,6 +23,7 @@ class Trainer(NamedTuple):
         unit: what its runs are counted in.
         episodes: those whose mean digits its summaries have.
         metric: the metric of its learning curves.
+        resumes_exactly: whether a resumed run ends as if it had not been interrupted.
     """
 
     module: str
@@ -30,6 +31,7 @@ class Trainer(NamedTuple):
     unit: str = "agent-steps"
     episodes: str = f"{VALIDATION_EPISODES} validation episodes"
     metric: str = "digits"
+    resumes_exactly: bool = False
 
     def load(self) -> ModuleType:
         """Import the module; ``ImportError`` that names the extra if it is missing."""
@@ -40,7 +42,7 @@ class Trainer(NamedTuple):
 
 
 TRAINERS = {
-    **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), Trainer("jax_ppo", "jax")),
+    **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), Trainer("jax_ppo", "jax", resumes_exactly=True)),
     "sb3-ppo": Trainer("ppo", "sb3", metric="digits_gained"),
     "through-world": Trainer("through_world", "jax", unit="updates", episodes="the last episodes"),
 }

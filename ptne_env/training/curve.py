@@ -26,7 +26,7 @@ FLAT = 0.05
 
 
 def read_learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
-    """Read the agent-steps and the means of the evaluations of a run; of one resumed through the world, those since."""
+    """Read the agent-steps and the means of the evaluations of a run; of a resumed run, those since it resumed."""
     path = folder / "evaluations.npz"
     if not path.exists():
         return np.empty(0), np.empty(0)

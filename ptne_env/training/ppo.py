@@ -1,11 +1,13 @@
 """PPO of Stable-Baselines3 on a scenario, with a network that all players share.
 
-The same run ends with the same policy on the same machine. One that was interrupted starts again.
+An uninterrupted run ends with the same policy on the same machine. A resumed one draws other games and other noise from
+its last checkpoint on, so it ends with another policy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from time import monotonic
@@ -15,7 +17,7 @@ import numpy as np
 import stable_baselines3
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import ConvertCallback, EvalCallback
+from stable_baselines3.common.callbacks import CheckpointCallback, ConvertCallback, EvalCallback
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.utils import LinearSchedule
 from torch import nn
@@ -26,6 +28,7 @@ from ptne_env.learn.layers import LAYERS, Metadata, Weights
 from ptne_env.learn.npz_policy import open_policy, seal
 from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.perception.observation import ObservationLayout
+from ptne_env.shared.files import require_file
 from ptne_env.training.configuration import POLICY, Configuration, RunSummary, read_finished_run, write_record
 from ptne_env.training.curve import finish
 from ptne_env.world.catalogue import get_scenario
@@ -38,14 +41,14 @@ Progress = Callable[[int, int, float], None]
 """A function of the agent-steps done, their total, and the mean digits gained in the last evaluation (-inf before)."""
 
 EVALUATIONS = 10
-"""The number of evaluations in a run."""
+"""The number of evaluations, and of checkpoints, in a run."""
 
 GAMES = 20
 """The games of an evaluation."""
 
 
 def train(configuration: Configuration, out: Path, progress: Progress | None = None) -> RunSummary:
-    """Train, validate and export, and return the summary. A finished run is not repeated.
+    """Train, validate and export, and return the summary; resume an interrupted run. A finished one is not repeated.
 
     The global generators of Python, NumPy and PyTorch are seeded.
 
@@ -65,6 +68,8 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     scenario = get_scenario(configuration.scenario)
     env = PlayerVecEnv(scenario, configuration.environments(World(scenario).game.num_players))
     model = PPO("MlpPolicy", env, **_ppo_arguments(configuration, env.num_envs))
+    checkpoints = out / "checkpoints"
+    model.num_timesteps = resumed_at = _restore(model, checkpoints)
     write_record(out / "configuration.json", configuration)
     samples = configuration.rollout * env.num_envs
     rollouts = -(-configuration.steps // samples)  # the last one is a whole one
@@ -78,13 +83,16 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     )
 
     def report(*_: Any) -> bool:
-        if progress is not None and model.num_timesteps % samples == 0:
+        if progress is not None and (model.num_timesteps - resumed_at) % samples == 0:
             progress(model.num_timesteps, configuration.steps, evaluation.last_mean_reward)
         return True
 
-    model.learn(configuration.steps, callback=[evaluation, ConvertCallback(report)])
+    callbacks = [CheckpointCallback(calls, str(checkpoints)), evaluation, ConvertCallback(report)]
+    if configuration.steps > resumed_at:
+        model.learn(configuration.steps - resumed_at, callback=callbacks, reset_num_timesteps=False)
+
     exported = export(model, env.layout, **asdict(configuration))
-    return finish(out, exported, scenario, model.num_timesteps, 0, began)
+    return finish(out, exported, scenario, model.num_timesteps, resumed_at, began)
 
 
 def _ppo_arguments(configuration: Configuration, members: int) -> dict[str, Any]:
@@ -105,6 +113,20 @@ def _ppo_arguments(configuration: Configuration, members: int) -> dict[str, Any]
         "seed": configuration.seed,
         "device": "cpu",
     }
+
+
+def _restore(model: PPO, checkpoints: Path) -> int:
+    """Load the last whole checkpoint, and return its agent-steps; 0 without one.
+
+    A run that was killed may leave a part of a checkpoint. Only arrays are read, which execute no code.
+    """
+    done = {int(path.stem.split("_")[2]): path for path in checkpoints.glob("rl_model_*_steps.zip")}
+    for steps in sorted(done, reverse=True):
+        with suppress(Exception):  # zip files and torch raise many classes
+            require_file(done[steps])
+            model.set_parameters(str(done[steps]), device="cpu")
+            return steps
+    return 0
 
 
 def export(model: BaseAlgorithm, layout: ObservationLayout, **training: Any) -> bytes:

@@ -18,7 +18,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from extras import need_jax, need_matplotlib
+from extras import need_jax, need_matplotlib, need_sb3
 
 from ptne_env.cli.app import ExitCode, main
 from ptne_env.learn import shipped_path
@@ -482,6 +482,32 @@ def test_escape_sequences_of_names_and_errors_are_spelled_out(run, tmp_path):
         printed = done.out + done.err
         assert not [char for char in printed if not (char.isprintable() or char in "\n\xa0")]
         assert "[31mred" in printed
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "module", "told"),
+    [
+        ("ippo", "jax_ppo", ""),
+        ("sb3-ppo", "ppo", "1000 agent-steps"),
+        ("through-world", "through_world", "1000 updates"),
+    ],
+)
+def test_a_resumed_run_that_nobody_can_repeat_is_named(run, monkeypatch, algorithm, module, told):
+    need_jax()
+    need_sb3()
+    need_matplotlib()
+    from ptne_env.training.configuration import RunSummary
+    from ptne_env.training.curve import write_learning_curve
+
+    def train(configuration, out, progress):
+        write_learning_curve(out, [1000, 5000], [[1.0], [1.0]])
+        return RunSummary(5000, 1000, 1.0, 1.0)
+
+    monkeypatch.setattr(f"ptne_env.training.{module}.train", train)
+    printed = run(f"train energy --algorithm {algorithm}").out
+    assert "1.00 digits on " in printed
+    assert ("The run was resumed at" in printed) == bool(told)
+    assert told in printed
 
 
 def test_a_training_says_whether_its_last_fifth_still_gained(run, monkeypatch):

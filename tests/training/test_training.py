@@ -1,5 +1,6 @@
-"""Training: what a configuration may hold, what a run leaves in its folder, and how a model is exported."""
+"""Training: what a configuration may hold, what a run leaves in its folder, and what it says about resumption."""
 
+import copy
 import dataclasses
 import json
 
@@ -118,6 +119,43 @@ def test_a_finished_run_is_not_repeated_and_another_one_is_refused(run):
     with pytest.raises(ValueError, match="holds another run: seed is 0 there and 1 here; choose another folder"):
         ppo.train(dataclasses.replace(SHORT, seed=1), out)
     assert times(out) == before
+
+
+class InterruptionError(Exception):
+    pass
+
+
+def interrupt(done, *_):
+    if done == 500:
+        raise InterruptionError
+
+
+def test_an_interrupted_run_goes_on_with_the_network_and_optimiser_of_its_last_whole_checkpoint(tmp_path, monkeypatch):
+    checkpoints = tmp_path / "checkpoints"
+    checkpoints.mkdir()
+    (checkpoints / "rl_model_900_steps.zip").write_bytes(b"PK\x03\x04")  # of a run that was killed
+    with pytest.raises(InterruptionError):
+        ppo.train(SHORT, tmp_path, interrupt)
+    path = max(checkpoints.iterdir(), key=lambda path: path.stat().st_mtime_ns)
+    last = int(path.stem.split("_")[2])
+    assert 400 <= last <= 500
+    content = path.read_bytes()
+    (checkpoints / "rl_model_800_steps.zip").write_bytes(content[: len(content) // 2])
+    (checkpoints / "rl_model_850_steps.zip").symlink_to("/dev/null")
+    stored, learn_on, resumed, reports = PPO.load(path, device="cpu").get_parameters(), PPO.learn, [], []
+
+    def learn_from(model, *arguments, **named):
+        resumed.append(copy.deepcopy(model.get_parameters()))
+        return learn_on(model, *arguments, **named)
+
+    monkeypatch.setattr(PPO, "learn", learn_from)
+    summary = ppo.train(SHORT, tmp_path, lambda done, *_: reports.append(done))
+    assert (summary.resumed_at, reports[0]) == (last, last + 100)
+    assert summary.agent_steps == reports[-1] >= SHORT.steps
+    mine, theirs = (torch.utils._pytree.tree_leaves(parameters) for parameters in (resumed[0], stored))
+    pairs = [(a, b) for a, b in zip(mine, theirs, strict=True) if isinstance(a, torch.Tensor)]
+    assert len(pairs) > 20  # weights, and the moments of each
+    assert all(torch.equal(a, b) for a, b in pairs)
 
 
 @pytest.mark.parametrize(
