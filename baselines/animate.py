@@ -8,6 +8,7 @@ messages arrive.
 from __future__ import annotations
 
 import argparse
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,11 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from PIL import Image
 
 from ptne_env.envs.rendering import MOST_ESTIMATES
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.evaluation.trajectories import Trajectories, play
-from ptne_env.report.video import encode_gif
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.style import COLOURS, FAINT, INK, drawing
 from ptne_env.suites import get_suite
@@ -87,6 +88,18 @@ def pictures(policy: str, count: int) -> Iterator[Any]:
                 panel.show(share)
             canvas.draw()
             yield np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
+
+
+def encode_gif(pictures: Iterator[Any], per_second: int) -> bytes:
+    """Return pictures, uint8 of shape (height, width, 3), as a GIF that stays on the last one for two seconds."""
+    # Matplotlib's PillowWriter gives every picture its own palette: colours flicker, and files are ten times larger.
+    images = [Image.fromarray(picture) for picture in pictures]
+    palette = images[-1].quantize(colors=256)  # the last picture has every colour
+    images = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    durations = [1000 // per_second] * (len(images) - 1) + [2000]
+    buffer = io.BytesIO()
+    images[0].save(buffer, "gif", save_all=True, append_images=images[1:], duration=durations, loop=0)
+    return buffer.getvalue()
 
 
 def main() -> None:

@@ -31,7 +31,7 @@ apidoc_modules = [
 ]  # fmt: skip
 suppress_warnings = ["ref.python", "toc.not_included"]  # types in docstrings may have two homes; links lead to pages
 autodoc_member_order = "bysource"
-autodoc_mock_imports = ["benchmarl", "jax", "optax", "ray", "stable_baselines3", "tensordict", "torch", "torchrl"]
+autodoc_mock_imports = ["jax", "optax", "ray", "stable_baselines3", "tensordict", "torch", "torchrl"]
 napoleon_use_ivar = True
 
 

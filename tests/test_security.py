@@ -48,7 +48,6 @@ def evil(tmp_path, monkeypatch):
     """A folder with files of a stranger as the current folder; their code makes the folder ``ran`` in it."""
     ran = str(tmp_path / "ran")
     (tmp_path / "evil.py").write_text(f"import os\n\nos.mkdir({ran!r})\n", encoding="utf-8")
-    (tmp_path / "evil.toml").write_text("scenario = 'evil:suite/track'\n", encoding="utf-8")
     serialised = base64.b64encode(f"cos\nmkdir\n(V{ran}\ntR.".encode()).decode()  # a pickle that calls os.mkdir
     with zipfile.ZipFile(tmp_path / "evil.zip", "w") as archive:
         archive.writestr("data", json.dumps({"policy_class": {":type:": "type", ":serialized:": serialised}}))
@@ -75,7 +74,7 @@ COMMANDS = {
     "scenario of render": "render evil:suite/track static --out run.html",
     "policy of render": "render energy evil:make --out run.html",
     "archive of render": "render energy evil.zip --out run.html",
-    "training": "train evil.toml --out out",
+    "training": "train evil:suite/track --out out",
 }
 
 

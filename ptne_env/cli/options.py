@@ -64,10 +64,16 @@ SetOption: TypeAlias = Annotated[
 
 
 def read_scenario(name: str, changes: Iterable[str] | None, *, trust: bool) -> Scenario:
-    """Return a scenario by name with the fields of ``--set``, which its new name tells too.
+    """Return a scenario by name with the fields of ``--set``, which its new name tells too."""
+    values = read_changes(changes)
+    texts = [value for value in values.values() if isinstance(value, str)]
+    require_trust([*foreign_names(*texts), *foreign_targets(values)], trust=trust)
+    scenario = get_scenario(name)
+    return get_scenario(scenario, **{"name": " ".join([scenario.name, *(changes or ())]), **values})
 
-    Changes are ``FIELD=VALUE``, where a value is JSON, or else a text.
-    """
+
+def read_changes(changes: Iterable[str] | None) -> dict[str, Any]:
+    """Return the values of ``--set`` by field: in ``FIELD=VALUE`` a value is JSON, or else a text."""
     values: dict[str, Any] = {}
     for change in changes or ():
         field, equals, text = change.partition("=")
@@ -77,10 +83,7 @@ def read_scenario(name: str, changes: Iterable[str] | None, *, trust: bool) -> S
             values[field] = loads(text)
         except ValueError:
             values[field] = text
-    texts = [value for value in values.values() if isinstance(value, str)]
-    require_trust([*foreign_names(*texts), *foreign_targets(values)], trust=trust)
-    scenario = get_scenario(name)
-    return get_scenario(scenario, **{"name": " ".join([scenario.name, *(changes or ())]), **values})
+    return values
 
 
 def split_policies(values: Iterable[str]) -> list[str]:

@@ -9,9 +9,14 @@ import typer
 
 from ptne_env.cli import options
 from ptne_env.cli.app import app
-from ptne_env.cli.console import check_writable, progress, say
+from ptne_env.cli.console import check_writable, say
 from ptne_env.evaluation import get_policy_spec
-from ptne_env.report.video import FORMATS, MOST_PICTURES, save_episode
+from ptne_env.evaluation.trajectories import SUFFIXES, record
+from ptne_env.report.page import episode_page
+from ptne_env.shared.files import require_suffix, write_atomically
+
+FORMATS = {".html": "a page that plays the episode", **SUFFIXES}
+"""What is written of an episode, by the suffix of the file."""
 
 
 @app.command()
@@ -22,15 +27,15 @@ def render(
     out: Annotated[Path, typer.Option(help=f"The file: {', '.join(f'{FORMATS[name]} ({name})' for name in FORMATS)}.")],
     changes: options.SetOption = None,
     seed: options.SeedOption = 0,
-    pictures: Annotated[
-        int, typer.Option(min=2, max=MOST_PICTURES, help="Number of pictures in a video; a page shows every step.")
-    ] = 100,
     trust: options.TrustOption = False,
 ) -> None:
-    """Write one test episode as a video, a page, a figure or data: strategies, estimates and distances over time."""
+    """Write one test episode as a page, a figure or data: strategies, estimates and distances over time."""
+    suffix = require_suffix("an episode is", out, FORMATS)
     check_writable(out)
     trust = options.require_trust(options.foreign_names(scenario, policy), trust=trust)
     world, spec = options.read_scenario(scenario, changes, trust=trust), get_policy_spec(policy, trust=trust)
-    with progress(f"{scenario}: {policy}") as advance:
-        save_episode(world, spec, out, seed=seed, pictures=pictures, progress=advance)
+    if suffix == ".html":
+        write_atomically(out, episode_page(world, spec, seed=seed))
+    else:
+        record(spec, world, seed=seed).save(out)
     say(f"Episode written to {out}")

@@ -5,8 +5,10 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from functools import partial
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
@@ -18,7 +20,6 @@ from ptne_env.evaluation import METRICS
 from ptne_env.evaluation.comparison import LAW
 from ptne_env.evaluation.tracks import find_track
 from ptne_env.shared.names import require_name
-from ptne_env.world.catalogue import scenario_names
 
 if TYPE_CHECKING:
     from ptne_env.training.configuration import Configuration, RunSummary
@@ -29,31 +30,28 @@ if TYPE_CHECKING:
 
 @app.command()
 def train(
-    configuration: Annotated[
-        str,
-        typer.Argument(
-            help="A scenario or track (such as robots or ptne-v1/rounding) for the default settings, or a .toml file.",
-            autocompletion=scenario_names,
-        ),
-    ],
+    scenario: options.ScenarioArgument,
     algorithm: Annotated[
-        str | None,
+        str,
         typer.Option(
             help="ippo (independent PPO), ippo-rnn (with a recurrent unit), mappo-rnn (its critic sees the state), "
-            "sb3-ppo (that of Stable-Baselines3), or through-world (a recurrent policy by gradients through the world; "
-            "CONFIGURATION is a scenario or track). That of the configuration, or ippo, if left out.",
+            "sb3-ppo (that of Stable-Baselines3), or through-world (by gradients through the world).",
             autocompletion=lambda: list(training.TRAINERS),
         ),
-    ] = None,
+    ] = "ippo",
     out: Annotated[Path, typer.Option(help="Folder for the policy, the learning curve and checkpoints.")] = Path(
         "trained"
     ),
-    seed: Annotated[
-        int | None,
+    changes: Annotated[
+        list[str] | None,
         typer.Option(
-            min=0, help="Seed of the network, sampling and training games; the configuration's own if left out."
+            "--set",
+            metavar="SETTING=VALUE",
+            help="Change a setting, such as learning_rate=0.001 or hidden=[128,128]; repeat for several. "
+            "docs/learning.md names them.",
         ),
     ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the network, sampling and training games.")] = 0,
     seeds: Annotated[
         int | None,
         typer.Option(
@@ -66,8 +64,8 @@ def train(
         int | None,
         typer.Option(
             min=1,
-            help="Number of agent-steps, or of updates of the weights through the world; the configuration's own if "
-            "left out.",
+            help="Number of agent-steps, or of updates of the weights through the world.",
+            show_default="20 million agent-steps, or 800 updates",
         ),
     ] = None,
     json: options.JsonOption = None,
@@ -85,17 +83,14 @@ def train(
     from ptne_env.training.configuration import POLICY, Configuration, read_finished_run
     from ptne_env.training.curve import draw, evaluate_laws
 
-    if algorithm is not None:
-        require_name("algorithm", algorithm, training.TRAINERS)
-    values = {"seed": seed, "updates" if algorithm == "through-world" else "steps": steps}
-    changes: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
-    if algorithm == "through-world":
-        trainer = training.TRAINERS[algorithm]
-        first: Run = trainer.load().Settings(configuration, **changes)
-    else:
-        changes |= {"algorithm": algorithm} if algorithm else {}
-        first = Configuration.from_toml(configuration, **changes)
-        trainer = training.TRAINERS[first.algorithm]
+    trainer = training.TRAINERS[require_name("algorithm", algorithm, training.TRAINERS)]
+    kind = trainer.load().Settings if algorithm == "through-world" else partial(Configuration, algorithm=algorithm)
+    values = options.read_changes(changes) | {"seed": seed}
+    if steps is not None:
+        values["steps" if trainer.unit == "agent-steps" else "updates"] = steps
+    for name in values:
+        require_name("setting", name, signature(kind).parameters)
+    first: Run = kind(scenario, **values)
     options.require_trust(options.foreign_names(first.scenario), trust=trust)
     runs = {out: first}
     if seeds is not None:
@@ -119,7 +114,7 @@ def train(
     draw(
         {f"seed {run.seed}": folder for folder, run in runs.items()},
         picture,
-        title=f"Training of {configuration.removesuffix('.toml')}",
+        title=f"Training of {scenario}",
         steps=max(summary.agent_steps for summary in summaries.values()),
         metric=trainer.metric,
         laws=laws,

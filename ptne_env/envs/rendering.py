@@ -32,12 +32,10 @@ class Renderer:
     Args:
         world: the world.
         mode: ``"human"`` to show pictures in a window, ``"rgb_array"`` to return them.
-        title: the beginning of the headline; the name of the scenario if left out.
     """
 
-    def __init__(self, world: World, mode: str, title: str | None = None) -> None:
+    def __init__(self, world: World, mode: str) -> None:
         self.world = world
-        self.title = world.scenario.name if title is None else title
         self.mode = mode
         players = world.game.num_players
         self._is_crowded = world.game.dimension * players > MOST_ESTIMATES
@@ -45,17 +43,8 @@ class Renderer:
         angles = np.pi / 2 - 2 * np.pi * np.arange(players) / players  # on a circle, clockwise from the top
         self._places = np.cos(angles), np.sin(angles)
         self._states: list[State] = []
-        self._limits: _Limits | None = None
         self._figure: Figure | None = None
         self._axes: dict[str, Any] = {}
-        self._still: Any = None
-
-    def fix_axes(self, states: Sequence[State]) -> None:
-        """Give every picture the axes that ``states``, the whole episode, need, so that they stand still in a video.
-
-        The axes are then drawn once, and each picture adds its lines, links and headline, which is ten times faster.
-        """
-        self._limits = _axis_limits(*_histories(states), states[0])
 
     def reset(self, state: State) -> None:
         """Forget the last episode and start with a state."""
@@ -74,25 +63,15 @@ class Renderer:
         with drawing("pictures of episodes", _STYLE):
             estimates, far = _histories(self._states)
             self._figure = figure = self._figure or self._open()
-            if self._still is None:
-                figure.clear()
-                self._lay_out(figure, self._limits or _axis_limits(estimates, far, self._states[0]))
-                if self._limits is not None:
-                    figure.canvas.draw()
-                    self._still = figure.canvas.copy_from_bbox(figure.bbox)  # type: ignore[attr-defined]  # Agg has it
-            moving = self._draw_moving(figure, estimates, far)
+            figure.clear()
+            self._lay_out(figure, _axis_limits(estimates, far, self._states[0]))
+            self._draw_moving(figure, estimates, far)
             if self.mode == "human":
                 figure.canvas.draw_idle()
                 figure.canvas.flush_events()
                 return None
-            if self._still is None:
-                figure.canvas.draw()
-            else:
-                figure.canvas.restore_region(self._still)  # type: ignore[attr-defined]
-                for artist in moving:
-                    artist.axes.draw_artist(artist)
-                    artist.remove()
-            drawn = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]
+            figure.canvas.draw()
+            drawn = np.asarray(figure.canvas.buffer_rgba())  # type: ignore[attr-defined]  # Agg has it
             return drawn[:, :, :3].copy()
 
     def close(self) -> None:
@@ -150,37 +129,37 @@ class Renderer:
         graph.set_title("live links")
         graph.axis("off")
 
-    def _draw_moving(self, figure: Figure, estimates: FloatArray, far: Sequence[float]) -> list[Any]:
+    def _draw_moving(self, figure: Figure, estimates: FloatArray, far: Sequence[float]) -> None:
         """Draw what moves: strategies, estimates, distance, live links and the headline."""
         game, times, players = self._states[0].game, self.world.clock.t[: len(far)], self.world.game.num_players
         left, distance, graph = (self._axes[name] for name in ("estimates", "distance", "graph"))
         last: dict[str, Any] = {"marker": "o", "markevery": [-1], "markersize": 4}
-        moving: list[Any] = []
         for component, owner in enumerate(game.owners):
             if not self._is_crowded:
                 others = np.delete(estimates[:, component], owner, axis=1)
-                moving += left.plot(times, others, color=_colour(owner), linewidth=0.7, alpha=0.5)
+                left.plot(times, others, color=_colour(owner), linewidth=0.7, alpha=0.5)
             width = 0.9 if self._is_crowded else 2.0
-            moving += left.plot(times, estimates[:, component, owner], color=_colour(owner), linewidth=width, **last)
-        moving += distance.plot(times, np.maximum(far, distances.FLOOR), color=INK, **last)
+            left.plot(times, estimates[:, component, owner], color=_colour(owner), linewidth=width, **last)
+        distance.plot(times, np.maximum(far, distances.FLOOR), color=INK, **last)
         x, y = self._places
         mode = int(dynamics.active_mode(self.world, self._states[-1])[0])
         links = self.world.topology.graphs[mode]
         for i, j in links.edges:
-            moving += graph.plot(x[[i, j]], y[[i, j]], color=INK, linewidth=2.5 * self._thinness, zorder=1)
+            graph.plot(x[[i, j]], y[[i, j]], color=INK, linewidth=2.5 * self._thinness, zorder=1)
         for i, j in np.argwhere(links.adjacency * (links.adjacency.T == 0)):  # i hears j, and j does not hear i
             tip = {"arrowstyle": "-|>", "color": INK, "linewidth": 0, "mutation_scale": 18 * self._thinness}
             ends: Any = (x[i] + 3 * x[j]) / 4, (y[i] + 3 * y[j]) / 4
-            moving.append(graph.annotate("", (x[[i, j]].mean(), y[[i, j]].mean()), ends, arrowprops=tip))
+            graph.annotate("", (x[[i, j]].mean(), y[[i, j]].mean()), ends, arrowprops=tip)
         size = min(16.0, 220 / players)  # of a node, in points, so that neighbours on the circle do not touch
         ring: dict[str, Any] = {"edgecolor": [_colour(player) for player in range(players)], "zorder": 2}
-        moving += [graph.scatter(x, y, s=size**2, color="white", linewidth=min(1.8, size / 4), **ring)]
+        graph.scatter(x, y, s=size**2, color="white", linewidth=min(1.8, size / 4), **ring)
         centred: dict[str, Any] = {"ha": "center", "va": "center_baseline", "fontsize": "small", "zorder": 3}
-        moving += [graph.text(x[i], y[i], str(i), **centred) for i in range(players if players <= 14 else 0)]
+        for i in range(players if players <= 14 else 0):
+            graph.text(x[i], y[i], str(i), **centred)
         reached = f"error {far[-1]:.1e}" if far[-1] > distances.FLOOR else f"error below {distances.FLOOR:.0e}"
-        headline = f"{self.title}    t = {times[-1]:.3f} s    {reached}"
+        headline = f"{self.world.scenario.name}    t = {times[-1]:.3f} s    {reached}"
         bold: dict[str, Any] = {"fontsize": 13, "fontweight": "bold", "transform": figure.transFigure}
-        return [*moving, left.text(0.07, 0.945, headline, **bold)]
+        left.text(0.07, 0.945, headline, **bold)
 
 
 def _colour(player: int) -> str:

@@ -1,1 +1,1 @@
-"""Tables, pages, pictures and videos of results."""
+"""Tables and pages of results."""

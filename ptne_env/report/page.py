@@ -1,6 +1,6 @@
 """Pages that open without a network, from one template: text, tables, charts and the player of an episode.
 
-:func:`results_page` is the page of a comparison or of another suite.
+:func:`results_page` is the page of a comparison or of another suite, :func:`episode_page` the player of one episode.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from ptne_env.report.tables import (
 from ptne_env.report.traces import Scene, make_scene
 from ptne_env.shared.style import COLOURS, DARK, LIGHT
 from ptne_env.world.catalogue import DESCRIPTIONS
+from ptne_env.world.scenario import Scenario
 
 EPISODES, MANY = 10, 20
 """Largest number of episodes behind the errors over time; and of players above which it is one, which takes as long."""
@@ -174,6 +175,18 @@ def results_page(
         ),
         scenes=scenes,
     ).to_html()
+
+
+def episode_page(scenario: Scenario, spec: PolicySpec, *, seed: int = 0) -> str:
+    """Return the player of the first episode of the test split as one HTML file.
+
+    Raises:
+        ValueError: when the policy cannot act in the scenario.
+        ImportError: when Jinja is missing, naming the extra to install.
+    """
+    scenes = {scenario.name: make_scene(Track(scenario.name, scenario, ""), EpisodeSet(1, seed), [spec])}
+    player = Section("Episode player", has_player=True)
+    return Page(f"{scenario.name}: {spec.name}", (player,), scenes=scenes).to_html()
 
 
 def _scene_arguments(results: Results, track: Track) -> tuple[Track, EpisodeSet, list[PolicySpec]]:

@@ -25,7 +25,7 @@ def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
     """Return the second half of the message: up to three similar names, or the first thirty where none is.
 
     Capitals do not count, ``_`` is ``-``, and a name may be the beginning or, after ``/``, the end of the meant one.
-    There may be another way to say it ``otherwise``, such as "a .toml file".
+    There may be another way to say it ``otherwise``, such as "an .npz file".
     """
     if name == "seed":
         return "a seed is an argument of reset, evaluate and training, such as reset(seed=3)"

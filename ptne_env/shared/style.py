@@ -66,7 +66,7 @@ def drawing(purpose: str, changes: Mapping[Any, Any] = MappingProxyType({})) -> 
         from matplotlib import rc_context
     except ImportError as error:
         raise ImportError(f'{purpose} need matplotlib: pip install "ptne-env[bench]"') from error
-    with delay_ctrl_c(), rc_context({**_STYLE, **changes}):
+    with _delay_ctrl_c(), rc_context({**_STYLE, **changes}):
         yield
 
 
@@ -91,7 +91,7 @@ def encode(figure: Any, kind: str, **options: Any) -> bytes:
 
 
 @contextmanager
-def delay_ctrl_c() -> Iterator[None]:
+def _delay_ctrl_c() -> Iterator[None]:
     """Delay Ctrl-C to the end of a ``with`` block, because Python may lose it where it forgets matplotlib's artists."""
     if threading.current_thread() is not threading.main_thread():  # others never see Ctrl-C
         yield

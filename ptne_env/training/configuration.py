@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +14,8 @@ import numpy as np
 
 from ptne_env.shared.arrays import require_count, require_positive, require_printable, require_probability
 from ptne_env.shared.files import DamagedFileError, read_file, read_json, write_atomically
-from ptne_env.shared.names import require_name, unknown_name
+from ptne_env.shared.names import require_name
 from ptne_env.training import TRAINERS
-from ptne_env.world.catalogue import scenario_names
 
 ALGORITHMS = tuple(name for name, trainer in TRAINERS.items() if trainer.unit == "agent-steps")
 """The algorithms of a configuration, which counts agent-steps."""
@@ -77,45 +75,6 @@ class Configuration:
     def environments(self, players: int) -> int:
         """Return the number of environments of so many players that learn, at least one."""
         return max(1, self.batch // (self.rollout * players))
-
-    @classmethod
-    def from_toml(cls, name_or_path: str | Path, **changes: Any) -> Configuration:
-        """Read a configuration, and change some of its values.
-
-        Args:
-            name_or_path: the path of a TOML file, or the name of a scenario or track, which gets the default values.
-            **changes: the values that change, by name.
-
-        Raises:
-            ValueError: for an unknown scenario, a file that is not TOML, or a value that is unknown, has a wrong
-                type or is out of its range.
-            FileNotFoundError: when there is no such file.
-        """
-        values = _read_values(str(name_or_path)) | changes
-        names = [field.name for field in dataclasses.fields(cls)]
-        for name in values:
-            if name not in names:
-                raise ValueError(f"{name_or_path}: {unknown_name('value', name, names)}")
-        if "scenario" not in values:
-            raise ValueError(f"{name_or_path}: scenario is missing")
-        try:
-            return cls(**values)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{name_or_path}: {error}") from error
-
-
-def _read_values(name: str) -> dict[str, Any]:
-    """Return the values of a configuration without a check."""
-    path = Path(name)
-    if path.suffix != ".toml":
-        if ":" in name or name in (scenarios := scenario_names()):
-            return {"scenario": name}
-        raise ValueError(unknown_name("scenario", name, scenarios, "a .toml file"))
-    content = read_file(path)
-    try:
-        return tomllib.loads(content.decode())
-    except ValueError as error:
-        raise DamagedFileError(f"{path} is not a TOML file: {error}") from error
 
 
 def write_record(path: Path, record: Any) -> None:

@@ -48,36 +48,6 @@ def test_a_wrong_value_is_refused_by_name(name, value, tmp_path):
         Configuration(**{"scenario": "random-energy", name: value})
 
 
-def test_a_configuration_is_a_file_or_a_scenario(tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text('scenario = "robots"\nseed = 7\nhidden = [32]\n', encoding="utf-8")
-    assert Configuration.from_toml(path) == Configuration("robots", seed=7, hidden=(32,))
-    assert Configuration.from_toml(path, seed=0).seed == 0
-    for name in ("robots", "ptne-v1/liar", "nowhere:scenario"):  # nothing is imported
-        assert Configuration.from_toml(name, steps=3) == Configuration(name, steps=3)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ('scenario = "energy"\nstep = 3', "mine.toml: unknown value 'step'; did you mean 'steps'"),
-        ("seed = 1", "mine.toml: scenario is missing"),
-        ('scenario = "energy"\nbatch = 0', "mine.toml: batch must be a whole number of at least 1, got 0"),
-        ("\0", "mine.toml is not a TOML file"),
-    ],
-)
-def test_a_wrong_file_is_refused_by_name(content, message, tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text(content, encoding="utf-8")
-    with pytest.raises(ValueError, match=message):
-        Configuration.from_toml(path)
-
-
-def test_an_unknown_configuration_is_refused():
-    with pytest.raises(ValueError, match="unknown scenario 'nope'; choose from .*random-energy, .*or a .toml file"):
-        Configuration.from_toml("nope")
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """The folder of an uninterrupted run, its summary and its reports."""
