@@ -9,6 +9,6 @@ except ImportError as error:  # pragma: no cover - exercised in an environment w
     sys.stderr.write('Error: the command line needs an extra: pip install "ptne-env[bench]"\n')
     raise SystemExit(4) from error  # ExitCode.LIBRARY, which is out of reach
 
-from ptne_env.cli import certify, compare, listing, render, train, verify  # noqa: F401 - they add commands
+from ptne_env.cli import certify, compare, listing, render, train  # noqa: F401 - they add commands
 from ptne_env.cli.app import app as app
 from ptne_env.cli.app import main as main

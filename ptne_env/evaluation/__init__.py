@@ -14,6 +14,7 @@ from ptne_env.evaluation.policy_spec import POLICIES as POLICIES
 from ptne_env.evaluation.policy_spec import PolicySpec as PolicySpec
 from ptne_env.evaluation.policy_spec import get_policy_spec as get_policy_spec
 from ptne_env.evaluation.results import Results as Results
+from ptne_env.evaluation.results import read_results as read_results
 from ptne_env.evaluation.rollout import Rollout as Rollout
 from ptne_env.evaluation.rollout import rollout as rollout
 from ptne_env.evaluation.tracks import Teammates as Teammates

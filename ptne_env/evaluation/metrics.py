@@ -1,6 +1,6 @@
 """Metrics, which are functions of the series that a rollout records.
 
-A metric is declared once, with its meaning, unit, direction and range. Tables, CSV files, pages, ``ptne list`` and docs
+A metric is declared once, with its meaning, unit and direction. Tables, CSV files, pages, ``ptne list`` and docs
 read :data:`METRICS`. :func:`register` adds a metric.
 """
 
@@ -53,7 +53,6 @@ class Metric:
         value: the function from a rollout to numbers, shape (B,), NaN in an episode without a value; ``None`` where
             the metric follows from another one.
         unit: the unit; empty for a pure number.
-        range: the least and the largest value that an episode can have.
         source: the metric whose episodes it summarises; the metric itself if left out.
         statistic: the name of the statistic over episodes, one of :data:`~ptne_env.evaluation.statistics.STATISTICS`.
         is_timing: whether it is a measured time, which another run does not repeat; such metrics are kept apart.
@@ -69,7 +68,6 @@ class Metric:
     block: Block = "How close"
     value: Callable[[Rollout], FloatArray] | None = None
     unit: str = ""
-    range: tuple[float, float] = (-math.inf, math.inf)
     source: str = ""
     statistic: str = "mean"
     is_timing: bool = False
@@ -93,11 +91,6 @@ class Metric:
     def is_own(self) -> bool:
         """Whether the user registered it."""
         return self.value is not None and not self.value.__module__.startswith("ptne_env.")
-
-    def admits(self, values: FloatArray) -> bool:
-        """Return whether all values, NaN apart, lie in the range, up to rounding."""
-        low, high = self.range
-        return not ((values < low - 1e-6) | (values > high + 1e-6)).any()
 
 
 METRICS: dict[str, Metric] = {}
@@ -172,59 +165,55 @@ def _mean_regret(rollout: Rollout) -> FloatArray:
     return np.divide(mean, regrets[0], out=np.full_like(mean, np.nan), where=regrets[0] > 0)
 
 
-_DIGITS, _SHARE, _POSITIVE = (-math.inf, MOST_DIGITS), (0.0, 1.0), (0.0, math.inf)
-
 # fmt: off
 for _metric in (
-    Metric("digits", "digits", "−log10 of the estimate distance at the deadline, at most 12", "higher", range=_DIGITS,
+    Metric("digits", "digits", "−log10 of the estimate distance at the deadline, at most 12", "higher",
            value=lambda rollout: distances.digits(_at_deadline(rollout, "estimate_distance"))),
     Metric("digits_on_the_way", "digits on the way", "mean of the digits after every step to the deadline", "higher",
-           value=_digits_on_the_way, range=_DIGITS),
+           value=_digits_on_the_way),
     Metric("digits_cvar", "worst tenth", "mean digits of the worst tenth of the episodes (conditional value at risk)",
-           "higher", source="digits", statistic="cvar", range=_DIGITS),
+           "higher", source="digits", statistic="cvar"),
     Metric("strategy_distance", "strategy distance", "‖x − x*‖/‖x*‖ at the deadline (the paper's plots)", "lower",
-           value=lambda rollout: _at_deadline(rollout, "strategy_distance"), range=_POSITIVE),
+           value=lambda rollout: _at_deadline(rollout, "strategy_distance")),
     Metric("estimate_distance", "estimate distance",
            "‖𝐱 − 1⊗x*‖/(√N ‖x*‖) at the deadline (as in the theorems)", "lower",
-           value=lambda rollout: _at_deadline(rollout, "estimate_distance"), range=_POSITIVE),
+           value=lambda rollout: _at_deadline(rollout, "estimate_distance")),
     Metric("regret", "regret",
            "median Nikaido–Isoda regret Σ_i [J_i(x) − min over y of J_i(y, x_{-i})] at the deadline", "lower",
-           value=lambda rollout: rollout["regret"][-1], range=_POSITIVE, statistic="median"),
+           value=lambda rollout: rollout["regret"][-1], statistic="median"),
     Metric("mean_regret", "mean regret",
            "median over episodes of the mean over time of the regret to the deadline; 1 is that of the start", "lower",
-           value=_mean_regret, range=_POSITIVE, statistic="median"),
+           value=_mean_regret, statistic="median"),
     Metric("settling_time", "settling time",
            "first instant after which the strategy distance stays within 0.5 %, in seconds", "lower", unit="s",
-           value=settling_time, range=_POSITIVE),
+           value=settling_time),
     Metric("settled_share", "settled share", "share of episodes that settled by the end", "higher",
-           value=lambda rollout: np.isfinite(settling_time(rollout)).astype(np.float64), range=_SHARE),
+           value=lambda rollout: np.isfinite(settling_time(rollout)).astype(np.float64)),
     Metric("digits_after_hold", "digits after hold", "−log10 of the estimate distance after the hold phase, at most 12",
-           "higher", value=_digits_after_hold, range=_DIGITS),
+           "higher", value=_digits_after_hold),
     Metric("digits_gained", "digits gained",
            "mean over players of the summed digits reward, to the end of the episode", "higher",
            value=lambda rollout: rollout["mean_digits"][-1] - rollout["mean_digits"][0]),
     Metric("input_energy", "input energy", "Σ Δt ‖u‖² to the deadline", "lower", "At what cost",
-           lambda rollout: ordered_sum(rollout["input_energy"]), range=_POSITIVE),
+           lambda rollout: ordered_sum(rollout["input_energy"])),
     Metric("peak_input", "peak |u|", "largest |u| to the deadline", "lower", "At what cost",
-           lambda rollout: rollout["peak_input"].max(axis=0), range=_POSITIVE),
+           lambda rollout: rollout["peak_input"].max(axis=0)),
     Metric("saturated_share", "saturated share", "share of input components at the input limit", "lower",
            "At what cost",
-           lambda rollout: ordered_sum(rollout["saturated"]) / np.maximum(ordered_sum(rollout["components"]), 1),
-           range=_SHARE),
+           lambda rollout: ordered_sum(rollout["saturated"]) / np.maximum(ordered_sum(rollout["components"]), 1)),
     Metric("diverged_share", "diverged share", "share of episodes that left the range", "lower", "At what cost",
-           lambda rollout: rollout.diverged.astype(np.float64), range=_SHARE),
+           lambda rollout: rollout.diverged.astype(np.float64)),
     Metric("microseconds_per_decision", "µs per decision",
            "microseconds of the policy per player and step, all episodes in one batch", "lower", "At what cost",
-           lambda rollout: np.full(rollout.diverged.shape, 1e6 * rollout.seconds_per_decision), is_timing=True,
-           range=_POSITIVE),
+           lambda rollout: np.full(rollout.diverged.shape, 1e6 * rollout.seconds_per_decision), is_timing=True),
 ):
     register(_metric)
 
 OPTIONAL = {metric.name: metric for metric in (
     Metric("messages", "messages", "messages to the deadline, one per link, direction and step", "lower",
-           "At what cost", lambda rollout: ordered_sum(rollout["messages"]), range=_POSITIVE),
+           "At what cost", lambda rollout: ordered_sum(rollout["messages"])),
     Metric("new_messages", "new messages", "messages that the same link did not carry in the step before", "lower",
-           "At what cost", lambda rollout: ordered_sum(rollout["new_messages"]), range=_POSITIVE),
+           "At what cost", lambda rollout: ordered_sum(rollout["new_messages"])),
 )}
 """Metrics that are measured where :func:`register` adds them, and so change no published result."""
 # fmt: on

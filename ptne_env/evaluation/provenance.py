@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
-import reprlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import cache
 from hashlib import file_digest, sha256
@@ -32,37 +30,6 @@ def content_hash(value: Any) -> str:
 
     text = json.dumps(without_none(value), sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return sha256(text.encode()).hexdigest()
-
-
-def unequal(published: Any, expected: Any, place: str = "") -> Iterator[str]:
-    """Yield the places where two JSON values differ by more than the order of sums.
-
-    Lists of objects with different names are compared as dictionaries.
-    """
-    if published == expected:
-        return
-    published, expected = _by_name(published), _by_name(expected)
-    if isinstance(published, dict) and isinstance(expected, dict):
-        for key in {**expected, **published}:
-            here = f"{place} {key}".strip()
-            if key in published and key in expected:
-                yield from unequal(published[key], expected[key], here)
-            else:
-                yield f"{here} is {'missing' if key in expected else 'of nothing that is listed'}"
-    elif isinstance(published, list) and isinstance(expected, list) and len(published) == len(expected):
-        for index, pair in enumerate(zip(published, expected, strict=True)):
-            yield from unequal(*pair, f"{place} {index}")
-    elif not (type(published) is type(expected) is float and math.isclose(published, expected, abs_tol=1e-15)):
-        yield f"{place} is {reprlib.repr(published)}, expected {reprlib.repr(expected)}"
-
-
-def _by_name(value: Any) -> Any:
-    """Return a list of objects as a dictionary, if names tell them apart."""
-    if not (isinstance(value, list) and all(isinstance(item, dict) for item in value)):
-        return value
-    keys = ("metric", "policy", "track", "name")
-    names = {" ".join(str(item[key]) for key in keys if key in item): item for item in value}
-    return names if len(names) == len(value) and "" not in names else value
 
 
 def file_hash(path: str | Path) -> str | None:

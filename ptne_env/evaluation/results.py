@@ -26,6 +26,7 @@ from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import FloatArray, data_frame
 from ptne_env.shared.files import DamagedFileError, read_json
 from ptne_env.shared.names import require_name, unknown_name
+from ptne_env.shared.parts import foreign_targets
 from ptne_env.shared.style import COLOURS, PRINT, drawing, printed_axes
 
 FORMAT = 8
@@ -357,13 +358,19 @@ class Results:
         return "\n".join(lines)
 
 
-def read_results(path: Path) -> dict[str, Any]:
-    """The content of a file, or of that in a folder, that holds :meth:`Results.to_dict`; nothing is imported.
+def read_results(path: str | Path, *, trust: bool = False) -> Results:
+    """Read the results of a file ``results.json``, or of that in a folder.
+
+    Args:
+        path: the path of the file or folder.
+        trust: whether code from outside the library that the results name may be imported.
 
     Raises:
-        OSError: when it cannot be read.
-        ValueError: when it is damaged, too large, something else or of another format.
+        OSError: when the file cannot be read.
+        ValueError: when it is damaged, too large, something else or of another format, when a policy or scenario was an
+            object of another process, or when it names code from outside the library and ``trust`` is not set.
     """
+    path = Path(path)
     path = path / "results.json" if path.is_dir() else path
     data = read_json(path, "a file of results")
     if data.get("format") != FORMAT:
@@ -371,7 +378,9 @@ def read_results(path: Path) -> dict[str, Any]:
     content = {key: value for key, value in data.items() if key not in ("checksum", "timings")}
     if data.get("checksum") != content_hash(content):
         raise DamagedFileError(f"{path} was damaged or changed after it was written: run it again")
-    return data
+    if not trust and (foreign := foreign_targets(data)):
+        raise ValueError(f"{path} names code from outside the library, which needs trust=True: {', '.join(foreign)}")
+    return Results.from_dict(data)
 
 
 def _with_interval(summary: Summary | None) -> str:

@@ -106,41 +106,6 @@ def _squared_quantile(parts: Sequence[tuple[float, int]]) -> float:
     return float(special.stdtrit(_freedom(parts), (1 + CONFIDENCE) / 2) ** 2)
 
 
-def chance(excess: float, *samples: FloatArray) -> float:
-    """Return the probability with which chance alone gives such an excess of a mean, or of a difference of two means.
-
-    It is that of Student's one-sided test for one sample, (episodes,), and of Welch's (1947) for two independent ones.
-    Where nothing tells how much a mean varies, it is 1.
-    """
-    if min(values.size for values in samples) < 2:
-        return 1.0
-    parts = [_variance_of_mean(values) for values in samples]
-    variance = sum(part for part, _ in parts)
-    if variance == 0:
-        return float(excess <= 0)
-    return float(special.stdtr(_freedom(parts), -excess / variance**0.5))
-
-
-def differ_by_rounding(old: FloatArray, new: FloatArray, level: float) -> bool:
-    """Return whether rounding explains the differences of two runs of the same episodes, shape (episodes,).
-
-    Worlds may amplify it, but most episodes come out more alike than different ones, and the mean differences,
-    absolute and relative, are those of chance, in tests of this level, and small: one episode that differs by a lot
-    cannot move the mean. A single episode may differ by a tenth.
-    """
-    both = np.isfinite(old) & np.isfinite(new)
-    if np.mean(np.isnan(old) != np.isnan(new)) > 0.1 or not both.any():
-        return not (np.isfinite(old) | np.isfinite(new)).any()
-    old, new = old[both], new[both]
-    size, change = float(np.abs(old).mean()), new - old
-    slack, others = 1e-9 + 1e-3 * size, np.abs(new[:, None] - old)[~np.eye(len(old), dtype=bool)]
-    reach = 0.75 * float(np.median(others)) if len(others) else 0.1 * (1 + size)
-    relative = 2 * change / (1e-9 + np.abs(new) + np.abs(old))
-    tests = (chance(abs(float(values.mean())) - most, values) for values, most in ((change, slack), (relative, 1e-3)))
-    is_small = len(old) == 1 or abs(float(change.mean())) <= 0.4 * (1 + size) / len(old) ** 0.5
-    return is_small and bool(np.median(np.abs(change)) <= slack + reach) and min(tests) >= level / 2
-
-
 def tail_values(samples: FloatArray) -> FloatArray:
     """Return values whose mean is the conditional value at risk, the mean of the worst tenth of the episodes.
 

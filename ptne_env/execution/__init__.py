@@ -1,4 +1,4 @@
-"""Running jobs on cores or machines, storing their results, and verifying published results."""
+"""Running jobs on cores or machines, and storing their results."""
 
 from ptne_env.execution.runner import Runner as Runner
 from ptne_env.execution.workers import Workers as Workers

@@ -1,4 +1,4 @@
-"""Tables as data, which the terminal and the page show: of results and verifications."""
+"""Tables as data, which the terminal and the page show: of results."""
 
 from __future__ import annotations
 
@@ -12,14 +12,10 @@ from ptne_env.evaluation.policy_spec import MARKS, POLICIES
 from ptne_env.evaluation.results import SHOWN, Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
 from ptne_env.evaluation.tracks import Track
-from ptne_env.execution.verification import Repetition, Verification
 from ptne_env.suites.leaderboard import leaderboard
 
 DIGITS_NOTE = "digits: 2 is an error of all estimates of 1 %, 3 is an error of 0.1 %; 12 at most"
 BESIDE_NOTE = "on the way: mean digits after every step; worst tenth: mean digits of the worst tenth of the episodes"
-
-_SHOWN_DIFFERENCES = 10
-"""Number of differences of a verification that are listed."""
 
 BESIDE = "on the way", "worst tenth"
 """The rows and columns beside the digits at the deadline: those of the other metrics of every table."""
@@ -296,33 +292,3 @@ def _list_reasons(results: Results, tracks: Sequence[str]) -> tuple[str, ...]:
         f"{verdict}: {policy} on {join_words(found, most=3)}: {results.reasons[found[0], policy].partition(': ')[2]}"
         for (policy, verdict), found in places.items()
     )
-
-
-def verification_table(verification: Verification) -> Table:
-    """Return the jobs that were run again; notes say whether the tables of the file follow from its samples."""
-    notes = [f"The file differs: {text}" for text in verification.differences[:_SHOWN_DIFFERENCES]]
-    if (hidden := len(verification.differences) - _SHOWN_DIFFERENCES) > 0:
-        notes.append(f"The file differs: {hidden} more numbers or texts")
-    elif not notes:
-        notes.append("All tables of the file follow from its samples.")
-    rows = (
-        (
-            f"{job.track}: {job.policy}" + f", training seed {job.training_seed}" * (job.training_seed > 0),
-            _verdict(job, same_arithmetic=verification.same_arithmetic),
-            number(job.difference),
-            number(job.fresh),
-            job.reason or "",
-        )
-        for job in verification.repetitions
-    )
-    title = f"{len(verification.repetitions)} of {verification.jobs} jobs were run again"
-    if not verification.same_arithmetic:
-        notes.append("The processor, BLAS or libraries differ, so rounding does too, and jobs agree up to chance.")
-    headings = "verdict", "largest difference", "digits with fresh seed", "reason"
-    return text_table(title, "job", headings, rows, tuple(notes))
-
-
-def _verdict(repetition: Repetition, *, same_arithmetic: bool) -> str:
-    if not repetition.agrees:
-        return "differs" if repetition.reason is None else "fails"
-    return "reproduces" if same_arithmetic else "agrees up to chance"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ptne_env.evaluation.statistics import STATISTICS, chance, differ_by_rounding, estimate, median_values, tail_values
+from ptne_env.evaluation.statistics import STATISTICS, estimate, median_values, tail_values
 
 REPETITIONS = 5000 if os.environ.get("PTNE_SOAK") else 1000
 
@@ -21,36 +21,6 @@ def test_a_constant_sample_has_low_equal_high_equal_mean_exactly():
 def test_an_interval_of_numbers_whose_squares_underflow_is_in_proportion():
     plain, tiny = estimate([np.array([[1.0, 2.0, 3.0]])]), estimate([np.array([[1e-90, 2e-90, 3e-90]])])
     assert (tiny.mean, tiny.low, tiny.high) == pytest.approx((2e-90, 1e-90 * plain.low, 1e-90 * plain.high), rel=1e-12)
-
-
-@pytest.mark.parametrize("sizes", [(8, 8), (5, 200)])
-def test_the_probability_of_a_chance_is_that_of_the_tests_of_student_and_welch(sizes):
-    generator = np.random.default_rng(0)
-    one, other = generator.normal(0.3, 1.0, sizes[0]), generator.normal(0.0, 3.0, sizes[1])
-    welch = stats.ttest_ind(one, other, equal_var=False, alternative="greater").pvalue
-    assert chance(one.mean() - other.mean(), one, other) == pytest.approx(welch, rel=1e-9)
-    assert chance(one.mean(), one) == pytest.approx(stats.ttest_1samp(one, 0.0, alternative="greater").pvalue, rel=1e-9)
-    constant = np.ones(3)
-    assert (chance(0.0, constant), chance(1e-9, constant), chance(1.0, constant[:1])) == (1.0, 0.0, 1.0)
-
-
-def test_rounding_moves_episodes_and_not_their_mean():
-    generator = np.random.default_rng(0)
-    digits = generator.normal(7.0, 1.0, 60)
-    amplified = np.where(np.arange(60) % 6 == 0, generator.normal(0.0, 0.8, 60), 1e-9)
-    holes = np.where(np.arange(60) < 3, np.nan, digits)
-    for other in (digits + amplified, holes, np.full(60, 12.0)):
-        assert differ_by_rounding(other, other, 1e-5)
-        assert differ_by_rounding(digits, digits + amplified, 1e-5)
-    assert differ_by_rounding(digits, holes, 1e-5)
-    error = digits.std() / 60**0.5
-    for forged in (digits + 3.5 * error, digits - 3.5 * error, digits + amplified + 3.5 * error, np.roll(digits, 1)):
-        assert not differ_by_rounding(forged, digits, 1e-5)
-    low = digits - 6
-    assert not differ_by_rounding(np.where(np.arange(60) == 7, 12.0, low), low, 1e-5)  # one episode, of many digits
-    assert not differ_by_rounding(10**-digits / 2, 10**-digits, 1e-5)
-    assert not differ_by_rounding(np.where(digits < 6, np.nan, digits), digits, 1e-5)
-    assert [differ_by_rounding(digits[:1] + by, digits[:1], 1e-5) for by in (0.1, 4.0)] == [True, False]
 
 
 def test_a_metric_without_any_value_has_none():

@@ -80,5 +80,5 @@ def test_a_suite_whose_node_was_killed_ends_like_a_local_one(cluster, tmp_path):
         assert process.wait(timeout=300) == 0, (tmp_path / "errors").read_text()
     local = [*command, "--out", str(tmp_path / "local"), "--jobs", "2"]
     subprocess.run(local, check=True, stdout=subprocess.DEVNULL, timeout=300)  # noqa: S603
-    first, second = (read_results(tmp_path / name) for name in ("ray", "local"))
+    first, second = (read_results(tmp_path / name).to_dict() for name in ("ray", "local"))
     assert first["checksum"] == second["checksum"]

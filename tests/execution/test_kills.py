@@ -18,7 +18,7 @@ def start(folder, jobs=2):
 
 
 def outcome(folder):
-    return read_results(folder)["checksum"]
+    return read_results(folder).to_dict()["checksum"]
 
 
 @pytest.fixture(scope="module")

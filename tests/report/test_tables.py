@@ -13,7 +13,6 @@ from ptne_env import PolicySpec, evaluate
 from ptne_env.evaluation import METRICS, get_policy_spec
 from ptne_env.evaluation.metrics import number
 from ptne_env.evaluation.statistics import Summary
-from ptne_env.execution.verification import Repetition, Verification
 from ptne_env.perception.observation import LayoutError
 from ptne_env.report.tables import (
     Cell,
@@ -22,7 +21,6 @@ from ptne_env.report.tables import (
     leaders,
     text_table,
     track_tables,
-    verification_table,
 )
 from ptne_env.report.terminal import answer_tables, draw_table, result_tables
 from ptne_env.suites import leaderboard
@@ -196,24 +194,6 @@ def test_a_policy_that_cannot_act_is_named_with_the_reason(suite):
     for table in (robots, answer_table(suite)):
         (reason,) = [note for note in table.notes if note.startswith("n/a: ppo-random-energy on robots: ")]
         assert "was made for another layout" in reason
-
-
-@pytest.mark.parametrize("width", [80, 120])
-def test_the_table_of_a_verification_shows_every_verdict(width):
-    repetitions = (
-        Repetition("ring", "policy-0", 0, 0.0, agrees=True),
-        Repetition("ring", "policy-1", 0, 0.1, agrees=False, fresh=2.5),
-        Repetition("ring", "policy-1", 1, None, agrees=False, reason="step 0: no number"),
-    )
-    found = Verification(tuple(map(str, range(12))), repetitions, 7, same_arithmetic=False, seed=1)
-    table = verification_table(found)
-    verdicts, _, fresh, reasons = ([column[row].text for row in table.rows] for column in table.columns)
-    assert len(set(verdicts)) == 3
-    assert fresh == ["–", "2.50", "–"]
-    assert reasons == ["", "", "step 0: no number"]
-    assert len(table.notes) == 12
-    assert table.notes[-2] == "The file differs: 2 more numbers or texts"
-    written(draw_table(table, width), width)
 
 
 def test_words_are_wrapped_and_no_column_is_lost():
