@@ -126,7 +126,9 @@ def test_a_model_of_the_joint_view_is_told_what_to_train_instead():
     model = laws.ZeroInput(ptne_env.parallel_env(COMPLETE).layout)
     joint = JointEnv(COMPLETE)
     model.observation_space, model.action_space = joint.observation_space, joint.action_space
-    with pytest.raises(ValueError, match=r"those of all players \(JointEnv\).*a player has one: train .* on PlayerVecEnv"):
+    with pytest.raises(
+        ValueError, match=r"those of all players \(JointEnv\).*a player has one: train .* on PlayerVecEnv"
+    ):
         evaluate(model, COMPLETE, episodes=1)
 
 
