@@ -1,10 +1,10 @@
-"""Games for tests: unequal dimensions, numerical solution, no equilibrium, or a deliberate error."""
+"""Games for tests: unequal dimensions, numerical solution, or no equilibrium."""
 
 from functools import cached_property
 
 import numpy as np
 
-from ptne_env.games import EnergyGame, Game, NoBestResponseError
+from ptne_env.games import Game, NoBestResponseError
 from ptne_env.shared.arrays import ordered_sum
 
 
@@ -126,13 +126,6 @@ class CubicGame(Game):
 
     def best_response(self, strategies):
         raise NoBestResponseError("a cubic has no minimum")
-
-
-class ForgetfulEnergyGame(EnergyGame):
-    """The energy game without the derivative of the price in the own gradient."""
-
-    def own_gradients(self, estimates):
-        return super().own_gradients(estimates) - self.coupling * np.einsum("iib->ib", estimates)
 
 
 def crowded_costs(x):

@@ -132,7 +132,6 @@ MISUSES = {
     "POLICIES['static'].build('energy')": r"Static is built from a layout, such as env\.layout, got a str",
     "theory.certify('enrgy')": "unknown scenario 'enrgy'; did you mean 'energy'",
     "theory.certify(env.world)": r"a scenario is a name or a Scenario, .* got a World",
-    "theory.check_game('energy')": "check_game needs a Game, such as env.world.game, got a str",
 }
 
 

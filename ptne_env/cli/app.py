@@ -18,7 +18,7 @@ class ExitCode(IntEnum):
     """The exit code for each kind of fault."""
 
     FAILED = 1
-    """A policy or a worker failed, or numbers of a check differ."""
+    """A policy or a worker failed."""
     ERROR = 2
     """An unknown command, option or name, a value out of range (typer uses it too), or any error without a code."""
     FILE = 3

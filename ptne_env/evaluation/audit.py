@@ -12,9 +12,6 @@ from ptne_env.perception.observation import ObservationLayout
 from ptne_env.perception.policy import Policy, PolicyError, RunningPolicy
 from ptne_env.shared.arrays import Float32Array, IntArray
 
-WITNESSES = 8
-"""The most witnesses of a thorough audit."""
-
 NOT_ROW_WISE = (
     "its decisions are not row-wise: with other rows in the batch it decides differently. A decision may depend on the "
     "player's own observation and memory alone, and must repeat bit for bit, except for rounding that depends on the "
@@ -72,19 +69,14 @@ class Witness:
             raise AuditError(self._reason)
 
 
-def sample_rows(episodes: int, players: int, *, thorough: bool) -> list[IntArray]:
-    """Draw the rows of each witness, which no policy can know.
+def sample_rows(episodes: int, players: int) -> IntArray:
+    """Draw the rows of a witness, which no policy can know: one player of every episode, and all of them equally often.
 
-    Every witness gets one player of every episode, and over the episodes one player after the other. So with as many
-    episodes as players, every player has a witness in some episode. Row e · players + p is player p of episode e, and
-    players are those for which the policy decides. A ``thorough`` audit has as many witnesses as players, up to
-    :data:`WITNESSES`, instead of one.
+    Row e · players + p is player p of episode e, and players are those for which the policy decides.
     """
     generator = np.random.default_rng()
-    witnesses = min(players, WITNESSES) if thorough else 1
     shuffled, order = generator.permutation(episodes), generator.permutation(players)
-    first = np.arange(episodes) * witnesses  # an episode goes on where the one before ends
-    return [shuffled * players + order[(first + witness) % players] for witness in range(witnesses)]
+    return shuffled * players + order[np.arange(episodes) % players]
 
 
 def rows_of_one(episodes: int, players: int) -> tuple[int, IntArray]:

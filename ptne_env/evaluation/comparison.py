@@ -32,7 +32,7 @@ from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.parts import FactorySpec, names_of
 from ptne_env.world.scenario import Scenario
 
-ZERO, LAW, ORACLE = REFERENCES = "zero-input", "static", "oracle"
+REFERENCES = ZERO, LAW, _ = "zero-input", "static", "oracle"
 """The reference policies that every run of a suite includes: zero input with score 0, the paper's law, an oracle."""
 
 
@@ -66,21 +66,18 @@ class Job:
     def __post_init__(self) -> None:
         object.__setattr__(self, "policy", self.policy.on_scenario(self.track.scenario.name))
 
-    def compute(self, *, thorough: bool = False) -> JobResult:
-        """Run the episodes, and audit the decisions of a user's policy.
-
-        A ``thorough`` audit has a witness per player instead of one for all, and is also of policies that ship.
-        """
+    def compute(self, *, audits: bool | None = None) -> JobResult:
+        """Run the episodes, and audit the decisions: those of a user's policy, if ``audits`` is left out."""
         world, team = self.track.world, self.track.teammates
         taken = () if team is None else team.players
         deciding = [player for player in range(world.game.num_players) if player not in taken]
-        audited = thorough or self.policy.is_own
+        audits = self.policy.is_own if audits is None else audits
         try:
             encoder = Encoder(world, self.policy.interface)
             start = self.episodes.initial_state(world)
             for fills in (False, True):
                 policy = self.policy.build(encoder.layout, self.training_seed)
-                witnesses = self._witnesses(encoder.layout, deciding, thorough=thorough, fills=fills) if audited else ()
+                witnesses = self._witnesses(encoder.layout, deciding, fills=fills) if audits else ()
                 try:
                     teammates = None if team is None else team.join(world)
                     counts = not OPTIONAL.keys().isdisjoint(METRICS)  # which takes a fifth of the time of a law
@@ -96,14 +93,12 @@ class Job:
             return JobResult(failure=str(error))
         return JobResult({name: _round_values(values) for name, values in samples.items()})
 
-    def _witnesses(
-        self, layout: ObservationLayout, deciding: Sequence[int], *, thorough: bool, fills: bool
-    ) -> list[Witness]:
+    def _witnesses(self, layout: ObservationLayout, deciding: Sequence[int], *, fills: bool) -> list[Witness]:
         """Build fresh policies that audit the decisions; the last one knows the links of one player alone.
 
         Where they fill the batch, the first one gets the batch as it is, and shows whether the policy repeats at all.
         """
-        samples = [(rows, NOT_ROW_WISE) for rows in sample_rows(self.episodes.count, len(deciding), thorough=thorough)]
+        samples = [(sample_rows(self.episodes.count, len(deciding)), NOT_ROW_WISE)]
         if fills:
             samples.insert(0, (np.arange(self.episodes.count * len(deciding)), DOES_NOT_REPEAT))
         witnesses = [
@@ -209,7 +204,6 @@ def run_suite(
         RuntimeError: when a reference policy fails.
         OSError, ImportError, ConnectionError, ChildProcessError: when ``run`` raises them.
     """
-    target = suite if isinstance(suite, str) else None
     suite = get_suite(suite)
     names = [track.name for track in suite.tracks] if tracks is None else list(dict.fromkeys(as_list(tracks)))
     sets = {name: suite.episode_set(name, episodes, seed=seed, split=split) for name in names}
@@ -219,7 +213,7 @@ def run_suite(
         if any(spec != POLICIES[name] for spec in same):
             raise ValueError(f"{name!r} is the name of a reference policy: give your policy another name")
         specs += [] if same else [POLICIES[name]]
-    results = compare(suite.name, [suite.track(name) for name in names], specs, sets, run, target)
+    results = compare(suite.name, [suite.track(name) for name in names], specs, sets, run)
     for (track, policy), reason in results.failures.items():
         if policy in REFERENCES:
             raise RuntimeError(f"the reference policy {policy!r} fails on track {track!r}: {reason}")
@@ -258,7 +252,6 @@ def compare(
     policies: Sequence[PolicySpec],
     episodes: Mapping[str, EpisodeSet],
     run: Run = run_serially,
-    target: str | None = None,
 ) -> Results:
     """Run every policy on every track, in the order of tables; the rest is as in :class:`Results`.
 
@@ -295,4 +288,4 @@ def compare(
     if refusals and not (samples or failures):
         (_, policy), reason = next(iter(refusals.items()))
         raise ValueError(f"policy {policy!r} fits no track: {reason}")
-    return Results(name, target, tuple(tracks), specs, dict(episodes), samples, refusals, failures)
+    return Results(name, tuple(tracks), specs, dict(episodes), samples, refusals, failures)

@@ -1,18 +1,14 @@
-"""Provenance of results: hashes of content and files, versions of libraries, and the arithmetic of this machine."""
+"""Provenance of results: hashes of content and files, and versions of libraries."""
 
 from __future__ import annotations
 
 import json
-import platform
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from functools import cache
 from hashlib import file_digest, sha256
 from importlib import metadata
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from ptne_env._version import __version__
 
@@ -47,25 +43,3 @@ def versions(others: Iterable[str] = ()) -> dict[str, str]:
         with suppress(metadata.PackageNotFoundError):
             installed[library] = metadata.version(library)
     return installed
-
-
-@cache
-def arithmetic() -> dict[str, str]:
-    """Return what the last bits of results depend on: the processor, numpy's SIMD extensions and the kernels of BLAS.
-
-    The kernels are unknown without the package threadpoolctl.
-    """
-    simd = np.show_config(mode="dicts").get("SIMD Extensions", {})
-    machine = {"machine": platform.machine(), "simd": " ".join([*simd.get("baseline", ()), *simd.get("found", ())])}
-    try:
-        from threadpoolctl import threadpool_info
-    except ImportError:
-        return machine | {"blas": "unknown"}
-    import scipy.linalg  # noqa: F401 - loads the BLAS of scipy, so that it is listed
-
-    kernels = {
-        f"{library['internal_api']} {library.get('architecture')}"
-        for library in threadpool_info()
-        if library["user_api"] == "blas"
-    }
-    return machine | {"blas": ", ".join(sorted(kernels))}

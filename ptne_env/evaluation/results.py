@@ -20,7 +20,7 @@ from ptne_env._version import __version__
 from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.metrics import METRICS, number
 from ptne_env.evaluation.policy_spec import PolicySpec
-from ptne_env.evaluation.provenance import arithmetic, content_hash, versions
+from ptne_env.evaluation.provenance import content_hash, versions
 from ptne_env.evaluation.statistics import STATISTICS, Summary, estimate
 from ptne_env.evaluation.tracks import Track
 from ptne_env.shared.arrays import FloatArray, data_frame
@@ -29,7 +29,7 @@ from ptne_env.shared.names import require_name, unknown_name
 from ptne_env.shared.parts import foreign_targets
 from ptne_env.shared.style import COLOURS, PRINT, drawing, printed_axes
 
-FORMAT = 8
+FORMAT = 9
 """The version of ``results.json``; a file of another version is refused."""
 
 Record: TypeAlias = dict[str, Any]
@@ -71,8 +71,6 @@ class Results:
 
     Attributes:
         name: the name of the suite; ``"comparison"`` for a comparison of scenarios.
-        target: the string by which the suite is found again; ``None`` for a comparison and for a suite that was an
-            object.
         tracks: the tracks, in the order of tables.
         policies: the policies by name, in the order of tables.
         episode_sets: the episode set of each track.
@@ -82,7 +80,6 @@ class Results:
     """
 
     name: str
-    target: str | None
     tracks: tuple[Track, ...]
     policies: dict[str, PolicySpec]
     episode_sets: dict[str, EpisodeSet]
@@ -211,7 +208,6 @@ class Results:
         content = {
             "format": FORMAT,
             "name": self.name,
-            "suite": self.target,
             "tracks": [track.to_dict() for track in self.tracks],
             "episodes": {track: asdict(episodes) for track, episodes in self.episode_sets.items()},
             "policies": [policy.to_dict() for policy in self.policies.values()],
@@ -220,7 +216,6 @@ class Results:
             "records": [record for record in self.records if not METRICS[record["metric"]].is_timing],
             "samples": samples["samples"],
             "versions": versions(sorted(libraries)),
-            "arithmetic": arithmetic(),
         }
         return {**content, "checksum": content_hash(content), "timings": samples["timings"]}
 
@@ -248,7 +243,6 @@ class Results:
                             samples.setdefault((track, policy), {})[metric] = array
             return cls(
                 data["name"],
-                data["suite"],
                 tuple(Track.from_dict(track) for track in data["tracks"]),
                 {policy["name"]: PolicySpec.from_dict(policy) for policy in data["policies"]},
                 episode_sets,

@@ -19,9 +19,6 @@ from ptne_env.shared.parts import FactorySpec
 TRACK = "{track}"
 """What stands for the name of the track in the name or path of a policy that has one file per track."""
 
-LARGEST_FILE = 16 << 20
-"""The largest number of bytes that :func:`load` reads; the shipped files have 30 to 290 kB."""
-
 
 class PolicyFormat(NamedTuple):
     """A format of policy files.
@@ -108,5 +105,5 @@ def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> R
     path = find_file(path_or_name)
     if path.suffix not in DATA.endings:
         path = shipped_path(str(path_or_name))  # which says what there is
-    policy = open_policy(path, read_file(path, LARGEST_FILE))
+    policy = open_policy(path, read_file(path))
     return policy if layout is None else policy.with_layout(layout)

@@ -5,7 +5,7 @@ docs/theory.md says of each prediction whether it is exact or a bound, and where
 
 from ptne_env.theory.assumptions import LemmaViolationError as LemmaViolationError
 from ptne_env.theory.assumptions import check_assumptions as check_assumptions
-from ptne_env.theory.assumptions import check_game as check_game
+from ptne_env.theory.assumptions import check_costs as check_costs
 from ptne_env.theory.assumptions import check_time_transformation as check_time_transformation
 from ptne_env.theory.certificate import Certificate as Certificate
 from ptne_env.theory.certificate import build_law as build_law

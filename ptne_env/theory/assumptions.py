@@ -1,7 +1,4 @@
-"""Lemma 1 and Assumptions 1–4 of the paper on one scenario, each with the number that decides it.
-
-:func:`check_game` tests Assumption 3 and the gradients of any game on sampled points.
-"""
+"""Lemma 1 and Assumptions 1–4 of the paper on one scenario, each with the number that decides it."""
 
 from __future__ import annotations
 
@@ -11,12 +8,10 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-import scipy
 
 from ptne_env.evaluation.metrics import number
 from ptne_env.games import Game
-from ptne_env.games.base import require_shape
-from ptne_env.shared.arrays import FloatArray, IntArray, freeze
+from ptne_env.shared.arrays import BoolArray, FloatArray, freeze
 from ptne_env.theory.constants import SAMPLES, MonotonicityConstants, jacobian_at_equilibrium
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.world import World
@@ -115,9 +110,7 @@ def _judge_convexity(game: Game) -> tuple[float, str, Verdict]:
         blocks = [jacobian[np.ix_(game.owners == i, game.owners == i)] for i in range(game.num_players)]
         curvature = min(float(np.linalg.eigvalsh((block + block.T) / 2)[0]) for block in blocks)
         return curvature, "smallest curvature of a J_i in x_i (exact)", _holds(curvature > 0)
-    report = check_game(game)
-    pairs = zip(report.strictly_convex, report.radially_unbounded, strict=True)
-    refuted = sum(not (convex and unbounded) for convex, unbounded in pairs)
+    refuted = int(np.count_nonzero(~np.logical_and(*check_costs(game))))
     return float(refuted), "players whose J_i a sample refutes", "fails" if refuted else "sampled only"
 
 
@@ -173,75 +166,33 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
     return float(remaining[last])
 
 
-@dataclass(frozen=True)
-class GameReport:
-    """The result of :func:`check_game` on sampled points.
+def check_costs(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int = 0) -> tuple[BoolArray, BoolArray]:
+    """Test on samples which costs J_i are strictly convex, and which are radially unbounded, in the own strategy x_i.
 
-    Attributes:
-        gradient_error: largest |own-gradient − numerical derivative of J_i| / (1 + |derivative|).
-        strictly_convex: per player, whether every sampled chord of J_i in its own strategy lies above J_i.
-        radially_unbounded: per player, whether J_i grew along every sampled ray of its own strategy; true where the box
-            is bounded, as a minimiser exists then.
-        equilibrium_error: why no equilibrium was found; ``None`` where one was. Convex, radially unbounded costs do not
-            guarantee one (docs/errata.md, 8).
-    """
-
-    gradient_error: float
-    strictly_convex: tuple[bool, ...]
-    radially_unbounded: tuple[bool, ...]
-    equilibrium_error: str | None
-
-    @property
-    def gradients_agree(self) -> bool:
-        """Whether the own-gradients are the derivatives of the costs, to 1e-6."""
-        return self.gradient_error <= 1e-6
-
-    @property
-    def assumption_3_holds(self) -> bool:
-        """Whether all costs were strictly convex and radially unbounded on samples, and an equilibrium was found."""
-        return all((*self.strictly_convex, *self.radially_unbounded)) and self.equilibrium_error is None
-
-
-def check_game(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int = 0) -> GameReport:
-    """Compare own gradients with numerical derivatives, test each J_i for convexity and growth in x_i, and find x*.
-
-    Samples can refute an assumption but not prove it. All of them lie in the game's box. For Assumption 4 see
-    :func:`~ptne_env.theory.monotonicity_constants`.
+    Samples can refute Assumption 3 but not prove it. All of them lie in the game's box.
 
     Args:
-        game: the game to check.
+        game: the game.
         samples: the number of random joint strategies.
         radius: components are drawn from U(−radius, radius); with two bounds, from the interval between them; with one
             bound, from an interval of length 2 radius next to it.
         seed: the seed of the draws.
 
-    Raises:
-        TypeError: when ``game`` is no game.
-        ValueError: when costs or own gradients of many environments cannot be computed, or have another shape.
+    Returns:
+        Per player, shape (N,) each, whether every sampled chord of J_i lies above J_i, and whether J_i grew along every
+        sampled ray. Where the box is bounded the second holds, as a minimiser exists then.
     """
-    if not isinstance(game, Game):
-        raise TypeError(f"check_game needs a Game, such as env.world.game, got a {type(game).__name__}")
     generator = np.random.default_rng(seed)
     points = _move_into_box(game, radius, generator.uniform(-radius, radius, (game.dimension, samples)))
-    estimates = np.repeat(points[:, None], game.num_players, axis=1)
-    require_shape(game.costs, points, "(n, B)", (game.num_players, samples), "(N, B)")
-    require_shape(game.own_gradients, estimates, "(n, N, B)", points.shape, "(n, B)")
-    numerical = _differentiate_costs(game, points)
-    error = float(np.max(np.abs(game.pseudo_gradient(points) - numerical) / (1 + np.abs(numerical))))
-
-    convex, unbounded = [], []
+    verdicts = []
     for player in range(game.num_players):
         direction = np.zeros_like(points)
         direction[game.owners == player] = generator.normal(size=(game.action_dims[player], samples))
         direction /= np.linalg.norm(direction, axis=0)
-        convex.append(_is_strictly_convex(game, points, player, direction))
-        unbounded.append(_grows_along_rays(game, points, player, direction))
-    equilibrium_error = None
-    try:
-        game.nash_equilibria  # noqa: B018 - solved and verified here
-    except ArithmeticError as reason:
-        equilibrium_error = str(reason)
-    return GameReport(error, tuple(convex), tuple(unbounded), equilibrium_error)
+        convex = _is_strictly_convex(game, points, player, direction)
+        verdicts.append((convex, _grows_along_rays(game, points, player, direction)))
+    convex, unbounded = np.array(verdicts).T
+    return convex, unbounded
 
 
 def _move_into_box(game: Game, radius: float, drawn: FloatArray) -> FloatArray:
@@ -252,30 +203,6 @@ def _move_into_box(game: Game, radius: float, drawn: FloatArray) -> FloatArray:
     low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - 2 * radius, -radius))
     high = np.where(np.isfinite(high), high, low + 2 * radius)
     return low + (high - low) * (drawn + radius) / (2 * radius)
-
-
-def _differentiate_costs(game: Game, points: FloatArray) -> FloatArray:
-    """Return numerical derivatives ∂J_i/∂x_i at points (n, samples); same shape."""
-    low, high = game.bounds
-    # A cost need not be defined outside the box, so derivatives there are taken on the wider side.
-    side = np.where(high - points >= points - low, 1, -1)
-    components, samples = np.indices(points.shape)
-
-    def costs(values: FloatArray, component: IntArray, sample: IntArray) -> FloatArray:
-        component, sample = (np.broadcast_to(index, values.shape).ravel() for index in (component, sample))
-        moved, columns = points[:, sample], np.arange(values.size)
-        moved[component, columns] = values.ravel()
-        return game.costs(moved)[game.owners[component], columns].reshape(values.shape)
-
-    return np.asarray(
-        scipy.differentiate.derivative(
-            costs,
-            points,
-            args=(components, samples),
-            initial_step=np.minimum(0.5, (high - low) / 8),
-            step_direction=np.where(np.isfinite(low) | np.isfinite(high), side, 0),
-        ).df
-    )
 
 
 def _costs_on_ray(

@@ -127,12 +127,12 @@ def test_a_foreign_file_is_refused_with_the_reason(case):
         opened(content)
 
 
-@pytest.mark.parametrize("size", [2**24 + 1, 2**40])
+@pytest.mark.parametrize("size", [2**25 + 1, 2**40])
 def test_a_large_file_is_refused_before_it_is_read(tmp_path, size):
     path = tmp_path / "large.npz"
     with path.open("wb") as file:
         file.truncate(size)  # it takes no space
-    with pytest.raises(DamagedFileError, match=r"large\.npz has more than 16 MiB"):
+    with pytest.raises(DamagedFileError, match=r"large\.npz has more than 32 MiB"):
         learn.load(path)
 
 

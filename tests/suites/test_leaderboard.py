@@ -24,7 +24,7 @@ def board_of(digits, tracks=SMALL.tracks, on_the_way=None, **policies):
                     "digits_on_the_way": np.full_like(array, (on_the_way or {}).get(name, 0.0)),
                 }
     sets = {track.name: replace(SMALL.episode_set("ring"), track=("small", track.name)) for track in tracks}
-    rows = leaderboard(Results("small", None, tuple(tracks), specs, sets, samples, {}, {}))
+    rows = leaderboard(Results("small", tuple(tracks), specs, sets, samples, {}, {}))
     return None if rows is None else {row.policy: row for row in rows}
 
 
