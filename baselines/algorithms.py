@@ -3,8 +3,9 @@
     tune [ALGORITHM]...     20 settings of each algorithm, for 5 M agent-steps on two tracks, beside the defaults
     train [ALGORITHM]...    the defaults with five seeds on every track of ptne-v1, for 20 M agent-steps, or for 50 M
                             where the last fifth of those gained 0.05 digits or more
-    publish                 play what was trained on the test episodes, write ``algorithms.csv``, draw the picture,
-                            and let the seeds of ``ippo`` with the most digits on validation episodes replace the files
+    publish                 play what was trained on the test episodes, and replace its rows in ``algorithms.csv``, its
+                            learning curves in ``curves.csv`` and, by the seed with the most digits on validation
+                            episodes, the files of ``ippo``; then draw the picture
 
 Every run has a folder in ``--out``, and one core; a run that has ended is not repeated.
 """
@@ -12,6 +13,7 @@ Every run has a folder in ``--out``, and one core; a run that has ended is not r
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import os
 from collections.abc import Iterator, Sequence
@@ -24,11 +26,13 @@ from matplotlib.figure import Figure
 from scipy.stats import qmc
 
 from baselines.published import (
+    COLUMNS,
     PPO,
     ROOT,
     TRAINED,
     TRAINING_METRICS,
     TRAININGS,
+    Published,
     Row,
     best_law,
     interval_of,
@@ -56,6 +60,7 @@ BUDGETS = 20_000_000, 50_000_000
 """The agent-steps of a run, and of one on a track where those do not suffice."""
 
 PICTURE = ROOT / "docs" / "images" / "algorithms.png"
+CURVES, CURVE_COLUMNS = TRAININGS.with_name("curves.csv"), ("track", "policy", "seed", "minutes", "digits")
 
 Run = tuple[str, str, Path, dict[str, float]]
 """A track, an algorithm, the folder, and the settings that are not the defaults."""
@@ -172,10 +177,36 @@ def ship(track: str, folder: Path) -> None:
     print(f"{path.name}: {best}")
 
 
-def draw(trainings: Sequence[tuple[str, str, Path]]) -> None:
-    """Draw the digits of all seeds over the minutes of a core, a track per panel, beside laws and the network.
+def curves_of(track: str, algorithm: str, folder: Path) -> list[Row]:
+    """The digits of all seeds on validation episodes, over the minutes of a core."""
+    rows = []
+    for run in sorted(folder.glob("seed-*")):
+        steps, digits = read_learning_curve(run)
+        minutes = json.loads((run / "core-seconds.json").read_text()) / 60 * steps / steps[-1]
+        common = {"track": track, "policy": algorithm, "seed": run.name.removeprefix("seed-")}
+        points = zip(minutes, digits, strict=True)
+        rows += [common | {"minutes": f"{minute:.4g}", "digits": f"{value:.4g}"} for minute, value in points]
+    return rows
 
-    The trainings are those of :func:`trained`.
+
+def merge(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> list[Row]:
+    """Write rows into a file in the place of those of the same trainings there, and return all of them."""
+    with path.open(encoding="utf-8", newline="") as file:
+        kept = [row for row in csv.DictReader(file) if training_of(row) not in set(map(training_of, rows))]
+    merged = sorted([*kept, *rows], key=training_of)
+    write_rows(path, merged, columns)
+    return merged
+
+
+def training_of(row: Row) -> tuple[int, int]:
+    """The places of the track and algorithm of a row."""
+    return TRACKS.index(row["track"]), ALGORITHMS.index(row["policy"])
+
+
+def draw(curves: Sequence[Row]) -> None:
+    """Draw the digits of seeds over the minutes of a core, a track per panel, beside laws and the network.
+
+    A mark with a bar shows the mean and the standard deviation over all seeds, on the test episodes.
     """
     numbers, legend = read(), {}
     with drawing("learning curves"):
@@ -184,18 +215,22 @@ def draw(trainings: Sequence[tuple[str, str, Path]]) -> None:
         for axes, track in zip(grid.flat, TRACKS, strict=False):
             lines = {"the paper's law": "static", "best law": best_law(numbers, "ptne-v1", track)[0], TRAINED: TRAINED}
             for (label, policy), style in zip(lines.items(), ("-.", ":", "--"), strict=True):
-                digits = float((numbers.cell("ptne-v1", track, policy) or {})["mean"])
-                axes.axhline(digits, color=INK, linestyle=style, linewidth=1, label=label)
-            for algorithm, folder in [training[1:] for training in trainings if training[0] == track]:
-                for run in sorted(folder.glob("seed-*")):
-                    steps, digits = read_learning_curve(run)
-                    minutes = json.loads((run / "core-seconds.json").read_text()) / 60 * steps / steps[-1]
-                    color = COLOURS[ALGORITHMS.index(algorithm)]
-                    axes.plot(minutes, digits, color=color, linewidth=0.8, label=algorithm)
+                axes.axhline(mean_of(numbers, "ptne-v1", track, policy), color=INK, linestyle=style, linewidth=1)
+                legend[label] = axes.get_lines()[-1]
+            for color, algorithm in zip(COLOURS, ALGORITHMS, strict=False):
+                for seed in SEEDS:
+                    here = [row for row in curves if (row["track"], row["policy"]) == (track, algorithm)]
+                    points = [(row["minutes"], row["digits"]) for row in here if row["seed"] == str(seed)]
+                    axes.plot(*np.reshape(points, (-1, 2)).astype(float).T, color=color, linewidth=0.8)
+                if numbers.cell("algorithms", track, algorithm):
+                    place = [
+                        mean_of(numbers, "algorithms", track, algorithm, metric)
+                        for metric in ("core_minutes", "digits", "spread")
+                    ]
+                    legend[algorithm] = axes.errorbar(*place, color=color, fmt="o", markersize=3)
             axes.set(title=track, xscale="log")
             axes.tick_params(labelbottom=True)
             axes.xaxis.set_major_formatter("{x:g}")
-            legend |= {line.get_label(): line for line in axes.get_lines()}  # a line of each
         for unused in figure.axes[len(TRACKS) :]:
             unused.set_axis_off()
         figure.supxlabel("minutes of a core")
@@ -204,15 +239,21 @@ def draw(trainings: Sequence[tuple[str, str, Path]]) -> None:
         write_atomically(PICTURE, encode(figure, "png", dpi=110))
 
 
+def mean_of(numbers: Published, *place: str) -> float:
+    """A published number."""
+    return float((numbers.cell(*place) or {})["mean"])
+
+
 def publish(out: Path, jobs: int) -> None:
-    """Write the rows of everything that is trained, the files of ``ippo``, and the picture."""
-    runner, rows, trainings = Runner(out / "jobs", Workers(jobs)), list[Row](), [*trained(out)]
-    for track, algorithm, folder in trainings:
+    """Write the rows and curves of everything that is trained, the files of ``ippo``, and the picture."""
+    runner, rows, curves = Runner(out / "jobs", Workers(jobs)), list[Row](), list[Row]()
+    for track, algorithm, folder in trained(out):
         rows += rows_of(track, algorithm, folder, runner)
+        curves += curves_of(track, algorithm, folder)
         if algorithm == PPO:
             ship(track, folder)
-    write_rows(TRAININGS, rows)
-    draw(trainings)
+    merge(TRAININGS, COLUMNS, rows)
+    draw(merge(CURVES, CURVE_COLUMNS, curves))
 
 
 def main() -> None:

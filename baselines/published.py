@@ -71,9 +71,9 @@ def interval_of(statistic: Summary | Record) -> Row:
     return {key: "" if numbers[key] is None else f"{numbers[key]:.7g}" for key in INTERVAL}
 
 
-def write_rows(path: Path, rows: Iterable[Row]) -> None:
-    """Write rows in the columns of ``results.csv``."""
-    lines = [COLUMNS, *([row.get(key, "") for key in COLUMNS] for row in rows)]
+def write_rows(path: Path, rows: Iterable[Row], columns: Sequence[str] = COLUMNS) -> None:
+    """Write rows in columns, those of ``results.csv`` if left out."""
+    lines = [columns, *([row.get(key, "") for key in columns] for row in rows)]
     write_atomically(path, "".join(f"{','.join(line)}\n" for line in lines))
 
 

@@ -122,8 +122,19 @@ def test_what_is_trained_gives_a_row_and_the_best_seed_on_validation_episodes_sh
     monkeypatch.setattr(algorithms, "PICTURE", tmp_path / "algorithms.png")
     for module in (algorithms, published):
         monkeypatch.setattr(module, "TRAININGS", tmp_path / "algorithms.csv")
+    monkeypatch.setattr(algorithms, "CURVES", tmp_path / "curves.csv")
+    kept = {"track": "nominal", "policy": "ippo", "metric": "digits", "mean": "1"}
+    replaced = {"track": "rounding", "policy": "ippo", "metric": "digits", "mean": "2"}
+    published.write_rows(tmp_path / "algorithms.csv", [replaced, kept])
+    published.write_rows(tmp_path / "curves.csv", [], algorithms.CURVE_COLUMNS)
     monkeypatch.setattr(learn, "__file__", str(tmp_path / "__init__.py"))
     algorithms.publish(tmp_path, jobs=1)
+    rows = published.read().rows
+    assert [row["mean"] for row in rows if row["track"] == "nominal" and row["suite"] == ""] == ["1"]  # of a former run
+    assert "2" not in {row["mean"] for row in rows if row["suite"] == "algorithms"}
+    assert (tmp_path / "curves.csv").read_text().splitlines()[1:4] == [
+        *("rounding,ippo,0,0,0", "rounding,ippo,0,1.2,2", "rounding,ippo,0,1.5,2")
+    ]
     assert (tmp_path / "ippo-rounding.npz").read_bytes() == shipped
     assert (tmp_path / "algorithms.png").stat().st_size > 10_000
     played = evaluate({name: learn.load(f"ippo-{name}") for name in ("nominal", "rounding")}, "ptne-v1/rounding")
