@@ -14,6 +14,5 @@ from ptne_env.jax.environment import JaxWorld as JaxWorld
 from ptne_env.jax.policies import JaxPolicy as JaxPolicy
 from ptne_env.jax.policies import JaxRollout as JaxRollout
 from ptne_env.jax.policies import adaptive as adaptive
-from ptne_env.jax.policies import grounded as grounded
 from ptne_env.jax.policies import rollout as rollout
 from ptne_env.jax.policies import static as static

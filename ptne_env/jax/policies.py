@@ -14,9 +14,8 @@ import numpy.typing as npt
 
 from ptne_env.jax.environment import JaxWorld
 from ptne_env.laws.adaptive import Adaptive, adaptive_inputs
-from ptne_env.laws.grounded import grounded_inputs
 from ptne_env.laws.static import static_inputs
-from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout, row_of
+from ptne_env.perception.observation import Interface, LayoutError, ObservationLayout
 from ptne_env.perception.policy import RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array
 from ptne_env.world.dynamics import State
@@ -176,17 +175,6 @@ def adaptive(layout: ObservationLayout, gamma: npt.ArrayLike = 0.01, initial_gai
         return adaptive_inputs(seen, memory, **{name: jnp.asarray(rows)[seen.player] for name, rows in params.items()})
 
     return _law(layout, act, {"gamma": law.gamma, "surplus": law.surplus}, law.initial_memory(1)[0])
-
-
-def grounded(layout: ObservationLayout, kappa: float = 2.0) -> JaxPolicy:
-    """The law :class:`ptne_env.laws.Grounded`; its parameter is κ."""
-
-    def act(params: Any, observation: jax.Array, memory: Any) -> tuple[jax.Array, Any]:
-        player = observation[layout.slices["player"]]
-        own, leaders = (row_of(table, player) for table in (layout.own_mask, layout.neighbour_components))
-        return grounded_inputs(layout.read(observation), own, leaders, **params), memory
-
-    return _law(layout, act, {"kappa": kappa})
 
 
 def _law(layout: ObservationLayout, act: Act, params: Any, memory: Any = ()) -> JaxPolicy:

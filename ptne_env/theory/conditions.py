@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.sparse.csgraph import shortest_path
 
 from ptne_env.evaluation.metrics import number
 from ptne_env.laws import (
@@ -25,7 +24,6 @@ from ptne_env.laws import (
     ProjectedGradient,
     ProximalBestResponse,
     Relay,
-    RoutedUnknown,
     Static,
 )
 from ptne_env.shared.arrays import FloatArray, IntArray
@@ -183,19 +181,6 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
     return decisive("Bianchi and Grammatico (2021)", _undirected(constants), _strongly_monotone(constants), shrinks)
 
 
-def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Condition:
-    """A fixed graph, ε > 0, and ρ < 1 of gradient play with delays equal to hop counts, if no step is shortened."""
-    together = union(constants.graphs)
-    radius = np.inf
-    if together.is_connected:
-        hops = shortest_path(together.adjacency, unweighted=True).astype(np.int64)
-        delays = hops[np.ix_(constants.owners, constants.owners)]
-        radius = _delayed_play_radius(constants.jacobian, delays, law.step)
-    name = "gradient play with delays settles: ρ < 1"
-    settles = Condition.below(name, radius, 1.0, exact=constants.exact)
-    return decisive("docs/theory.md, laws that copy", _fixed_graph(constants), _strongly_monotone(constants), settles)
-
-
 def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -> Condition:
     """h/α > (ι²/ε + ι)/λ2 on a fixed undirected graph, and h Σ_j a_ij < 1, once the rows of dF are identified.
 
@@ -234,7 +219,6 @@ CONDITIONS: dict[type[Law], Callable[[Any, ProblemConstants], Condition]] = {
     Grounded: grounded_condition,
     AdaptiveGrounded: adaptive_grounded_condition,
     ProjectedGradient: projected_gradient_condition,
-    RoutedUnknown: routed_condition,
     ProximalBestResponse: proximal_condition,
     Relay: relay_condition,
 }
@@ -245,24 +229,6 @@ def condition(law: Law, constants: ProblemConstants) -> Condition | None:
     """Return the condition of the theorem of a law on the scenario for which it was built; ``None`` without one."""
     of_law = CONDITIONS.get(type(law))
     return None if of_law is None else of_law(law, constants)
-
-
-# --- the loops of laws that copy -------------------------------------------------------------------------------------
-
-
-def _delayed_play_radius(jacobian: FloatArray, delays: IntArray, step: float) -> float:
-    """Return the spectral radius of e_c(k+1) = e_c(k) − η Σ_b dF_cb e_b(k − d_cb), with delays d_cb in hops, (n, n).
-
-    It is the loop of :class:`~ptne_env.laws.RoutedUnknown` on a fixed graph after the first steps, where no bound
-    becomes or ceases to be active: below 1 exactly where the law settles. The estimates of the other players are late
-    copies, which add zeros to the eigenvalues.
-    """
-    n, longest = len(jacobian), int(delays.max())
-    matrix = np.eye(n * (longest + 1), k=-n)  # of (e(k), e(k−1), …)
-    matrix[:n, :n] = np.eye(n)
-    for delay in range(longest + 1):
-        matrix[:n, delay * n : (delay + 1) * n] -= step * np.where(delays == delay, jacobian, 0.0)
-    return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
 def coupling_radius(jacobian: FloatArray, owners: IntArray) -> float:

@@ -24,7 +24,7 @@ from ptne_env.world import dynamics
 
 SCENARIO = "random-energy-switching-transformed"
 UNEVEN = get_suite("ptne-v1").track("uneven-box").scenario
-LAWS = {"static": laws.Static, "adaptive": laws.Adaptive, "grounded": laws.Grounded}
+LAWS = {"static": laws.Static, "adaptive": laws.Adaptive}
 GAINS = 0.1 + np.add.outer(np.arange(5), np.arange(5)) / 10
 """A symmetric table, a gain per link."""
 

@@ -118,12 +118,10 @@ def test_every_law_has_a_certificate_and_every_theorem_is_of_a_law(law):
     assert set(theory.CONDITIONS) <= {resolve(law) for law in LAWS}
 
 
-@pytest.mark.parametrize(("step", "holds"), [(0.2, True), (0.3, False), (3.0, False)])
-def test_the_routed_law_settles_where_its_condition_holds_and_shortens_longer_steps(step, holds):
-    """Gradient play with delays equal to hop counts, on four firms: ρ = 1 at η = 0.264."""
+@pytest.mark.parametrize("step", [0.2, 0.3, 3.0])
+def test_the_routed_law_shortens_steps_that_do_not_settle(step):
+    """Gradient play with delays equal to hop counts, on four firms: the spectral radius is 1 at η = 0.264."""
     scenario = get_scenario("oligopoly", input_limit=1e9, steps=300)
-    found = condition_on(scenario, "law:routed-unknown", step=step)
-    assert found.holds is holds
     world = World(scenario)
     encoder = Encoder(world, laws.RoutedUnknown.interface)
     states = run(world, encoder, laws.RoutedUnknown(encoder.layout, step), loop_start(world, size=1.0))[..., 0]
