@@ -52,7 +52,11 @@ _LEAST = 0.125
 
 _SHORTEST, _LONGEST = 2.0, 4
 """The shortest delay in steps: that of an answer over one link; and the longest one, in numbers of players: on graphs
-that switch, the first news of a player may take much longer than the later ones."""
+that switch, the first news of a player may take much longer than the later ones, and where copies average over noise,
+lags have no limit."""
+
+_ANSWERED = 2.0
+"""Number of times the first news take to arrive after which the neighbours' copies repeat own moves."""
 
 _SIGNAL = 3.0
 """A difference to the sources above this many σ is no noise."""
@@ -95,6 +99,14 @@ class Noise(NamedTuple):
     since: FloatArray  # k, the steps in which messages have not come to rest, shape (R, 1)
 
 
+class Echo(NamedTuple):
+    """What R players know of how late their own moves come back to them."""
+
+    trail: FloatArray  # own moves, of which a delay forgets all but 1/e, shape (R, n)
+    missing: FloatArray  # the sum of (x_i − neighbours' copies of it)·trail, shape (R, 1)
+    moved: FloatArray  # the sum of (the last own move)·trail, shape (R, 1)
+
+
 class RelayMemory(NamedTuple):
     """What R players remember from step to step."""
 
@@ -105,7 +117,9 @@ class RelayMemory(NamedTuple):
     asked: FloatArray  # the displacement that was asked for, shape (R, n)
     share: FloatArray  # e, of the damping, shape (R, 1)
     direction: FloatArray  # v, the mean direction of the responses, shape (R, m)
-    delay: FloatArray  # T, the step in which the last component had its first source, shape (R, 1)
+    first: FloatArray  # the step in which the last component had its first source, shape (R, 1)
+    delay: FloatArray  # T, shape (R, 1)
+    echo: Echo  # of the own moves
     size: FloatArray  # the running median of |differences to the sources|, 0 before the first one, shape (R, n)
     outlier: FloatArray  # the sign of the last difference if it was an outlier, and else 0, shape (R, n)
 
@@ -135,13 +149,19 @@ class Relay(RecordLaw):
     5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l Σ_{j≠i} G_ij Δx_j), the best response to the copies. D has the
        eigenvectors of the symmetric part of the own block G_ii, and the eigenvalues d + e (1 + T) max(0, S − d), where
        d is the curvature (|d| plus three standard deviations where it is not certainly positive), S the largest row sum
-       of Σ_{j≠i} |G_ij|, e the *share* of the damping, and T the *delay*: the step in which the last component had its
-       first source, from 2 to 4 N. On a fixed graph that is the distance of the farthest player, and m − 1 steps. Where
-       S < d best responses contract in the maximum norm whatever the delays; up to S = d, D is G_ii and l = 1. In games
-       that rotate they may expand; D damps them, and l, the least of T + ½ and the eigenvalues of D over S, expects the
-       copies to go on. A component at a bound, which did not move when it was asked to, counts as fixed for the others.
-       No component of the response is larger than the trust region of the model.
-    6. *Damping.* The damping that suffices for games that rotate is too much for others. So the *share* e, which starts
+       of Σ_{j≠i} |G_ij|, e the *share* of the damping, and T the *delay*. Where S < d best responses contract in the
+       maximum norm whatever the delays; up to S = d, D is G_ii and l = 1. In games that rotate they may expand; D damps
+       them, and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go on. A component at a
+       bound, which did not move when it was asked to, counts as fixed for the others. No component of the response is
+       larger than the trust region of the model.
+    6. *Delay.* T = F + L − 1, from 2 to 4 N, and 4 N until all components have had a source: responses to copies that
+       are starts would expand most. F is the step in which the last component had its first source; on a fixed graph
+       that is the distance of the farthest player, and m − 1 steps. But where messages are late or lost, the first news
+       come earlier than most. So the *lag* L ≥ 1 says how many steps ago the own strategy was what the neighbours'
+       copies of it are now: it is the sum over steps and live links of (x_i − x^j_i)·q over that of Δx_i·q, where Δx_i
+       is the last own move and q ← (1 − 1/T) q + Δx_i the *trail* of own moves. L = 1 where each message arrives at
+       once. Steps up to 2 F do not count, in which neighbours may not know of any own move.
+    7. *Damping.* The damping that suffices for games that rotate is too much for others. So the *share* e, which starts
        at 1, falls where responses creep in one direction, and rises where they turn back: e ← e exp((0.6 − |v|)/(2 T)),
        within [1/8, 1], where v ← v + (Δx_i/|Δx_i| − v)/(3 T) is the mean direction, in the maximum norm. Steps that the
        trust region or the input limit shortens do not count: they have one direction for as long as they are short.
@@ -168,7 +188,8 @@ class Relay(RecordLaw):
         messages, first = np.zeros((1, layout.slots, layout.dimension)), np.zeros((1, max(layout.action_dims)))
         noise = Noise(messages, messages, messages[:, :, 0], none, none, none, none, none)
         contacts, model = initial_contacts(layout), initial_model(layout)
-        self.start = RelayMemory(none, contacts, noise, model, own, none + 1, first, none + _SHORTEST, own, own)
+        delay, echo = none + _SHORTEST, Echo(own, none, none)
+        self.start = RelayMemory(none, contacts, noise, model, own, none + 1, first, delay, delay, echo, own, own)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         layout, was, player = self.layout, self.unpack(memory), observation.player
@@ -199,8 +220,12 @@ class Relay(RecordLaw):
         model = identify(was.model, estimate, gradient, widest, _FIRST * scale, is_own)
         asked, moved = own_entries(was.asked, blocks), own_entries(estimate - was.model.estimate, blocks)
         held = (np.abs(moved) < _HELD * np.abs(asked)) & (np.abs(asked) > _RESOLVED * scale)
+        longest = _LONGEST * layout.num_players
         is_new = ((contacts.news > was.contacts.news) & ~is_own).any(axis=1, keepdims=True)
-        delay = np.where(is_new, np.clip(was.steps, _SHORTEST, _LONGEST * layout.num_players), was.delay)
+        first = np.where(is_new, np.clip(was.steps, _SHORTEST, longest), was.first)
+        lag, echo = _hear_echo(observation, was, np.where(is_own & (was.steps > 0), estimate - before, 0.0))
+        is_unheard = ((contacts.news == 0) & ~is_own).any(axis=1, keepdims=True)
+        delay = np.where(is_unheard, longest, np.minimum(first + lag - 1, longest))
         wanted = _respond(model, drift, blocks, is_own, held, delay, was.share)
         response = shorten(wanted, model.radius)
         response = np.where(is_probe & (np.arange(blocks.shape[1]) != was.steps), 0.0, response)
@@ -208,7 +233,8 @@ class Relay(RecordLaw):
         asked = clip_to_reach(displacement, observation, layout)
         is_whole = (own_entries(asked, blocks) == wanted).all(axis=1, keepdims=True)
         share, direction = _adapt(was, wanted, is_whole, delay)
-        fresh = RelayMemory(was.steps + 1, contacts, noise, model, asked, share, direction, delay, size, outlier)
+        steps = was.steps + 1
+        fresh = RelayMemory(steps, contacts, noise, model, asked, share, direction, first, delay, echo, size, outlier)
         return per_step(displacement, observation), self.pack(fresh)
 
     def _weigh(self, noise: Noise, mean: FloatArray, steps: FloatArray) -> tuple[Noise, FloatArray]:
@@ -264,6 +290,21 @@ def _drop_outliers(
     signs = np.where(is_loud, np.sign(mean), 0.0)
     kept = np.where(is_loud & ~is_news, 0.0, mean)
     return kept, np.where(heard, median, size), np.where(heard, signs, outlier)
+
+
+def _hear_echo(observation: Observation, was: RelayMemory, moves: FloatArray) -> tuple[FloatArray, Echo]:
+    """Return the lag L ≥ 1 of the neighbours' copies of the own strategy (R, 1), after the last own ``moves`` (R, n).
+
+    Where a copy is what the strategy was L steps ago, it differs from it by the sum of L moves. Both this and the last
+    move are weighted by the trail, so errors of messages, which do not depend on it, change the lag little.
+    """
+    trail = (1 - 1 / was.delay) * was.echo.trail + moves
+    repeats = (observation.weights > 0) & (was.steps > _ANSWERED * was.first)
+    ahead = np.where(repeats[:, :, None], -observation.relative_estimates, 0.0)
+    missing = was.echo.missing + np.einsum("rdn,rn->r", ahead, trail)[:, None]
+    moved = was.echo.moved + repeats.sum(axis=1, keepdims=True) * np.einsum("rn,rn->r", moves, trail)[:, None]
+    lag = np.where(moved > 0, missing / np.where(moved > 0, moved, 1.0), 1.0)
+    return np.clip(lag, 1.0, np.maximum(was.steps, 1.0)), Echo(trail, missing, moved)
 
 
 def _adapt(
