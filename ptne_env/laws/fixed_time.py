@@ -8,7 +8,7 @@ import numpy as np
 
 from ptne_env.laws.base import RecordLaw, consensus, per_step
 from ptne_env.laws.grounded import grounded_inputs
-from ptne_env.laws.identification import clip_to_reach, no_curvature, see_curvature
+from ptne_env.laws.identification import Curvature, clip_to_reach, see_curvature
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 
@@ -51,7 +51,7 @@ class FixedTime(RecordLaw):
         self.power = require_positive("power", power)
         if power > 1:
             raise ValueError(f"power must be at most 1, or inputs grow without bound near rest, got {power}")
-        self.start = (no_curvature(layout),)
+        self.start = (Curvature(np.zeros((1, 1)), *np.zeros((2, 1, layout.dimension))),)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         (was,), player = self.unpack(memory), observation.player

@@ -42,14 +42,12 @@ class Grounded(Law):
     Transactions on Automatic Control 62(9), 2017. There a player also estimates its own strategy, in whose place it
     stands itself here, and κ is 1 and δ small, while here κ may be large, too.
 
-    Over graphs that are only jointly connected, a large κ need not suffice, but a small δ does. X. He and J. Huang, "A
-    distributed approach to seek Nash equilibrium over jointly strongly connected switching networks", Chinese Control
-    Conference, 2022, pp. 6905–6909, compose the gradient dynamics with an estimator of all strategies. By its abstract,
-    which is all that we have read, all estimates converge to x* exponentially from every start, if F is strongly
-    monotone and Lipschitz and the graphs that act within any window of some length are connected together. In effective
-    time this holds for every κ > 0 and all δ below some bound, by small gain: while strategies rest, the errors of the
-    estimates vanish at a rate that does not depend on δ, and strategies move in proportion to δ. Theorem 4 of the paper
-    is false on such graphs (docs/errata.md, 2).
+    Over graphs that are only jointly connected, where Theorem 4 of the paper is false (docs/errata.md, 2), a small δ
+    suffices: X. He and J. Huang, "A distributed approach to seek Nash equilibrium over jointly strongly connected
+    switching networks", Chinese Control Conference, 2022, pp. 6905–6909. By its abstract, which is all that we have
+    read, estimates converge exponentially if F is strongly monotone and Lipschitz. Here it holds for every κ > 0 and
+    all δ below some bound, by small gain: while strategies rest, the errors of the estimates vanish at a rate that does
+    not depend on δ, and strategies move in proportion to δ.
 
     Args:
         layout: the layout of the environment.

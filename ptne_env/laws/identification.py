@@ -131,11 +131,6 @@ class Curvature(NamedTuple):
     moves: FloatArray  # of the own estimates in that step, shape (R, n)
 
 
-def no_curvature(layout: ObservationLayout) -> Curvature:
-    """Return what one player has seen before the first step."""
-    return Curvature(np.zeros((1, 1)), *np.zeros((2, 1, layout.dimension)))
-
-
 def see_curvature(was: Curvature, observation: Observation, is_own: BoolArray) -> Curvature:
     """Update L, the largest ‖Δ∂J_i/∂x_i‖_∞/‖Δx_i‖_∞ so far, of steps in which Δx_i was the largest move."""
     gradient = observation.gradient * observation.unit

@@ -32,13 +32,10 @@ _SPREAD = 3.0
 _FIRST = 1 / (3 * _SPREAD)
 """Longest first own displacement, in units of the scale: the response to three standard deviations of curvature."""
 
-_DAMPING = 1.0
-"""How much a step is shortened per unit by which Σ_j |G_ij| exceeds the curvature, beside the delay of news. The
-eigenvalues of linear games that rotate ten times as fast as they contract, with delays of up to two steps, have their
-optimum between 2.5 and 3.5 in all; with longer delays, random worlds that rotate say the same."""
-
 _LEAD = 0.5
-"""Most steps beside the delay for which a damped response expects the copies to go on, by the same analysis."""
+"""Most steps beside the delay for which a damped response expects the copies to go on. This number, and 1 + T in the
+damping, follow from the eigenvalues of linear games that rotate ten times as fast as they contract, with delays of up
+to two steps; with longer delays, random worlds that rotate say the same."""
 
 _WINDOW = 3.0
 """Number of delays over which the directions of responses are averaged: the others answer a move in about two."""
@@ -51,12 +48,8 @@ _LEAST = 0.125
 """Smallest share of the damping; smaller ones let responses turn before the mean direction shows it."""
 
 _SHORTEST, _LONGEST = 2.0, 4
-"""The shortest delay in steps: that of an answer over one link; and the longest one, in numbers of players: on graphs
-that switch, the first news of a player may take much longer than the later ones, and where copies average over noise,
-lags have no limit."""
-
-_ANSWERED = 2.0
-"""Number of times the first news take to arrive after which the neighbours' copies repeat own moves."""
+"""The shortest delay in steps, that of an answer over one link; and the longest one, in numbers of players: on graphs
+that switch, the first news may take much longer than the later ones, and averages over noise lag without limit."""
 
 _SIGNAL = 3.0
 """A difference to the sources above this many σ is no noise."""
@@ -64,26 +57,20 @@ _SIGNAL = 3.0
 _CALMER = 2.0
 """Messages come to rest where σ falls to the last σ over this number, and then they are no noise."""
 
-_NEWS = 6.0
-"""A copy has news once it moved by more than this many times the noise of the second step."""
+_NEWS, _LOUDEST = 6.0, 0.3
+"""A copy has news once it moved by more than this many times the noise of the second step, or by more than this share
+of the scale."""
 
-_LOUDEST = 0.3
-"""A change of messages above this share of the scale is news in any case."""
-
-_OUTLIER = 4.0
-"""A difference to the sources above this many running medians is an outlier, as one of 140 of normal noise is."""
-
-_PACE = 1.1
-"""Factor by which the running median of a difference rises or falls in a step."""
+_OUTLIER, _PACE = 4.0, 1.1
+"""A difference to the sources above this many running medians is an outlier, as one of 140 of normal noise is; and the
+factor by which the running median rises or falls in a step."""
 
 _NOISY = 1e-3
 """Share of the scale that the change of messages in the second step exceeds where differences may be outliers."""
 
-_HELD = 0.1
-"""A bound holds a component that moved less than this share of the displacement that was asked for."""
-
-_RESOLVED = 1e-6
-"""Smallest displacement, in units of the scale, at which that is judged."""
+_HELD, _RESOLVED = 0.1, 1e-6
+"""A bound holds a component that moved less than this share of the displacement that was asked for; and the smallest
+displacement, in units of the scale, at which that is judged."""
 
 
 class Noise(NamedTuple):
@@ -99,14 +86,6 @@ class Noise(NamedTuple):
     since: FloatArray  # k, the steps in which messages have not come to rest, shape (R, 1)
 
 
-class Echo(NamedTuple):
-    """What R players know of how late their own moves come back to them."""
-
-    trail: FloatArray  # own moves, of which a delay forgets all but 1/e, shape (R, n)
-    missing: FloatArray  # the sum of (x_i − neighbours' copies of it)·trail, shape (R, 1)
-    moved: FloatArray  # the sum of (the last own move)·trail, shape (R, 1)
-
-
 class RelayMemory(NamedTuple):
     """What R players remember from step to step."""
 
@@ -119,7 +98,9 @@ class RelayMemory(NamedTuple):
     direction: FloatArray  # v, the mean direction of the responses, shape (R, m)
     first: FloatArray  # the step in which the last component had its first source, shape (R, 1)
     delay: FloatArray  # T, shape (R, 1)
-    echo: Echo  # of the own moves
+    trail: FloatArray  # q, own moves, of which a delay forgets all but 1/e, shape (R, n)
+    behind: FloatArray  # the sum of (x_i − neighbours' copies of it)·q, shape (R, 1)
+    moved: FloatArray  # the sum of (the last own move)·q over the same steps and links, shape (R, 1)
     size: FloatArray  # the running median of |differences to the sources|, 0 before the first one, shape (R, n)
     outlier: FloatArray  # the sign of the last difference if it was an outlier, and else 0, shape (R, n)
 
@@ -188,8 +169,10 @@ class Relay(RecordLaw):
         messages, first = np.zeros((1, layout.slots, layout.dimension)), np.zeros((1, max(layout.action_dims)))
         noise = Noise(messages, messages, messages[:, :, 0], none, none, none, none, none)
         contacts, model = initial_contacts(layout), initial_model(layout)
-        delay, echo = none + _SHORTEST, Echo(own, none, none)
-        self.start = RelayMemory(none, contacts, noise, model, own, none + 1, first, delay, delay, echo, own, own)
+        delay = none + _SHORTEST
+        self.start = RelayMemory(
+            none, contacts, noise, model, own, none + 1, first, delay, delay, own, none, none, own, own
+        )
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         layout, was, player = self.layout, self.unpack(memory), observation.player
@@ -223,7 +206,8 @@ class Relay(RecordLaw):
         longest = _LONGEST * layout.num_players
         is_new = ((contacts.news > was.contacts.news) & ~is_own).any(axis=1, keepdims=True)
         first = np.where(is_new, np.clip(was.steps, _SHORTEST, longest), was.first)
-        lag, echo = _hear_echo(observation, was, np.where(is_own & (was.steps > 0), estimate - before, 0.0))
+        own_moves = np.where(is_own & (was.steps > 0), estimate - before, 0.0)
+        lag, trail, behind, moves = _measure_lag(observation, was, own_moves)
         is_unheard = ((contacts.news == 0) & ~is_own).any(axis=1, keepdims=True)
         delay = np.where(is_unheard, longest, np.minimum(first + lag - 1, longest))
         wanted = _respond(model, drift, blocks, is_own, held, delay, was.share)
@@ -233,9 +217,8 @@ class Relay(RecordLaw):
         asked = clip_to_reach(displacement, observation, layout)
         is_whole = (own_entries(asked, blocks) == wanted).all(axis=1, keepdims=True)
         share, direction = _adapt(was, wanted, is_whole, delay)
-        steps = was.steps + 1
-        fresh = RelayMemory(steps, contacts, noise, model, asked, share, direction, first, delay, echo, size, outlier)
-        return per_step(displacement, observation), self.pack(fresh)
+        known = was.steps + 1, contacts, noise, model, asked, share, direction, first, delay, trail, behind, moves
+        return per_step(displacement, observation), self.pack(RelayMemory(*known, size, outlier))
 
     def _weigh(self, noise: Noise, mean: FloatArray, steps: FloatArray) -> tuple[Noise, FloatArray]:
         """Return the noise after the differences (R, n) to the sources, and the weight w of copies, shape (R, 1)."""
@@ -292,19 +275,20 @@ def _drop_outliers(
     return kept, np.where(heard, median, size), np.where(heard, signs, outlier)
 
 
-def _hear_echo(observation: Observation, was: RelayMemory, moves: FloatArray) -> tuple[FloatArray, Echo]:
+def _measure_lag(observation: Observation, was: RelayMemory, moves: FloatArray) -> tuple[FloatArray, ...]:
     """Return the lag L ≥ 1 of the neighbours' copies of the own strategy (R, 1), after the last own ``moves`` (R, n).
 
     Where a copy is what the strategy was L steps ago, it differs from it by the sum of L moves. Both this and the last
-    move are weighted by the trail, so errors of messages, which do not depend on it, change the lag little.
+    move are weighted by the trail, so errors of messages, which do not depend on it, change the lag little. The other
+    arrays are the trail and the two sums.
     """
-    trail = (1 - 1 / was.delay) * was.echo.trail + moves
-    repeats = (observation.weights > 0) & (was.steps > _ANSWERED * was.first)
-    ahead = np.where(repeats[:, :, None], -observation.relative_estimates, 0.0)
-    missing = was.echo.missing + np.einsum("rdn,rn->r", ahead, trail)[:, None]
-    moved = was.echo.moved + repeats.sum(axis=1, keepdims=True) * np.einsum("rn,rn->r", moves, trail)[:, None]
-    lag = np.where(moved > 0, missing / np.where(moved > 0, moved, 1.0), 1.0)
-    return np.clip(lag, 1.0, np.maximum(was.steps, 1.0)), Echo(trail, missing, moved)
+    trail = (1 - 1 / was.delay) * was.trail + moves
+    counts = (observation.weights > 0) & (was.steps > 2 * was.first)  # until then neighbours may not know of any move
+    ahead = np.where(counts[:, :, None], -observation.relative_estimates, 0.0)
+    behind = was.behind + np.einsum("rdn,rn->r", ahead, trail)[:, None]
+    moved = was.moved + counts.sum(axis=1, keepdims=True) * np.einsum("rn,rn->r", moves, trail)[:, None]
+    lag = np.where(moved > 0, behind / np.where(moved > 0, moved, 1.0), 1.0)
+    return np.clip(lag, 1.0, np.maximum(was.steps, 1.0)), trail, behind, moved
 
 
 def _adapt(
@@ -334,7 +318,7 @@ def _respond(
     others = np.where(is_own[:, None], 0.0, model.rows)
     coupling = np.abs(others).sum(axis=2).max(axis=1, keepdims=True)
     excess = np.maximum(coupling - curvature, 0.0)
-    divisor = curvature + share * (_DAMPING + delay) * excess
+    divisor = curvature + share * (1 + delay) * excess
     is_loose = excess.any(axis=1, keepdims=True)
     lead = np.minimum(_LEAD + delay, divisor.min(axis=1, keepdims=True) / np.where(is_loose, coupling, 1.0))
     wanted = model.gradient + np.einsum("rmn,rn->rm", others, np.where(is_loose, lead, 1.0) * drift)

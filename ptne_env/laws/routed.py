@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptne_env.laws.base import RecordLaw, per_step
-from ptne_env.laws.identification import Curvature, clip_to_reach, no_curvature, see_curvature
+from ptne_env.laws.identification import Curvature, clip_to_reach, see_curvature
 from ptne_env.laws.sources import Contacts, find_sources, initial_contacts, mean_difference
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
@@ -45,7 +45,7 @@ class RoutedUnknown(RecordLaw):
     def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
         super().__init__(layout)
         components, none = np.zeros((1, layout.dimension)), np.zeros((1, 1))
-        self.start = RoutedMemory(initial_contacts(layout), components, none, no_curvature(layout))
+        self.start = RoutedMemory(initial_contacts(layout), components, none, Curvature(none, components, components))
         self.step = require_positive("step", step)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
