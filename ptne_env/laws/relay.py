@@ -96,7 +96,7 @@ class RelayMemory(NamedTuple):
     asked: FloatArray  # the displacement that was asked for, shape (R, n)
     share: FloatArray  # e, of the damping, shape (R, 1)
     direction: FloatArray  # v, the mean direction of the responses, shape (R, m)
-    first: FloatArray  # the step in which the last component had its first source, shape (R, 1)
+    first: FloatArray  # F, the step in which the last component had its first source, shape (R, 1)
     delay: FloatArray  # T, shape (R, 1)
     trail: FloatArray  # q, own moves, of which a delay forgets all but 1/e, shape (R, n)
     behind: FloatArray  # the sum of (x_i − neighbours' copies of it)·q, shape (R, 1)
@@ -135,13 +135,13 @@ class Relay(RecordLaw):
        them, and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go on. A component at a
        bound, which did not move when it was asked to, counts as fixed for the others. No component of the response is
        larger than the trust region of the model.
-    6. *Delay.* T = F + L − 1, from 2 to 4 N, and 4 N until all components have had a source: responses to copies that
-       are starts would expand most. F is the step in which the last component had its first source; on a fixed graph
-       that is the distance of the farthest player, and m − 1 steps. But where messages are late or lost, the first news
-       come earlier than most. So the *lag* L ≥ 1 says how many steps ago the own strategy was what the neighbours'
-       copies of it are now: it is the sum over steps and live links of (x_i − x^j_i)·q over that of Δx_i·q, where Δx_i
-       is the last own move and q ← (1 − 1/T) q + Δx_i the *trail* of own moves. L = 1 where each message arrives at
-       once. Steps up to 2 F do not count, in which neighbours may not know of any own move.
+    6. *Delay.* T = F + L − 1, from 2 to 4 N. F is the step in which the last component had its first source, and the
+       number of steps so far until then; on a fixed graph it is the distance of the farthest player, and m − 1 steps.
+       But where messages are late or lost, the first news come earlier than most. So the *lag* L ≥ 1 says how many
+       steps ago the own strategy was what the neighbours' copies of it are now: it is the sum over steps and live links
+       of (x_i − x^j_i)·q over that of Δx_i·q, where Δx_i is the last own move and q ← (1 − 1/T) q + Δx_i the *trail* of
+       own moves. L = 1 where each message arrives at once. Steps up to 2 F do not count, in which neighbours may not
+       know of any own move.
     7. *Damping.* The damping that suffices for games that rotate is too much for others. So the *share* e, which starts
        at 1, falls where responses creep in one direction, and rises where they turn back: e ← e exp((0.6 − |v|)/(2 T)),
        within [1/8, 1], where v ← v + (Δx_i/|Δx_i| − v)/(3 T) is the mean direction, in the maximum norm. Steps that the
@@ -205,11 +205,11 @@ class Relay(RecordLaw):
         held = (np.abs(moved) < _HELD * np.abs(asked)) & (np.abs(asked) > _RESOLVED * scale)
         longest = _LONGEST * layout.num_players
         is_new = ((contacts.news > was.contacts.news) & ~is_own).any(axis=1, keepdims=True)
-        first = np.where(is_new, np.clip(was.steps, _SHORTEST, longest), was.first)
+        is_unheard = ((contacts.news == 0) & ~is_own).any(axis=1, keepdims=True)
+        first = np.where(is_new | is_unheard, np.clip(was.steps, _SHORTEST, longest), was.first)
         own_moves = np.where(is_own & (was.steps > 0), estimate - before, 0.0)
         lag, trail, behind, moves = _measure_lag(observation, was, own_moves)
-        is_unheard = ((contacts.news == 0) & ~is_own).any(axis=1, keepdims=True)
-        delay = np.where(is_unheard, longest, np.minimum(first + lag - 1, longest))
+        delay = np.minimum(first + lag - 1, longest)
         wanted = _respond(model, drift, blocks, is_own, held, delay, was.share)
         response = shorten(wanted, model.radius)
         response = np.where(is_probe & (np.arange(blocks.shape[1]) != was.steps), 0.0, response)

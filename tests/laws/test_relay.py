@@ -166,8 +166,8 @@ def test_the_delay_is_the_distance_of_the_farthest_player_on_a_fixed_graph():
         rows = encoder.observe(state)[0]
         actions, memory = law.predict(rows, memory)
         state = dynamics.step(world, state, encoder.decode(actions[None], state))
-        if step == 1:  # there are no news of all players yet
-            assert law.unpack(memory).delay.ravel().tolist() == [24] * 6
+        if step == 3:  # the number of steps before, as there is no older news of all players yet
+            assert law.unpack(memory).delay.ravel().tolist() == [3] * 6
     assert law.unpack(memory).delay.ravel() == pytest.approx([5, 4, 3, 3, 4, 5], abs=1e-3)
 
 
