@@ -104,7 +104,7 @@ def test_environment_plays_a_priced_game_and_prices_stay_above_zero():
 
 
 def test_certificates_of_priced_games_say_that_they_are_monotone_only():
-    certificate = theory.certify(SCENARIO, "law:routed-unknown")
+    certificate = theory.certify(SCENARIO, "law:relay")
     assert certificate.assumptions[4].verdict == "fails"
     assert certificate.condition.name.startswith("F is strongly monotone")
     assert not certificate.condition.holds
