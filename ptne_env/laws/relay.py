@@ -96,11 +96,11 @@ class RelayMemory(NamedTuple):
     asked: FloatArray  # the displacement that was asked for, shape (R, n)
     share: FloatArray  # e, of the damping, shape (R, 1)
     direction: FloatArray  # v, the mean direction of the responses, shape (R, m)
-    first: FloatArray  # F, the step in which the last component had its first source, shape (R, 1)
+    first: FloatArray  # F, the steps before there was news of every component, or so far, from 2 to 4 N, shape (R, 1)
     delay: FloatArray  # T, shape (R, 1)
     trail: FloatArray  # q, own moves, of which a delay forgets all but 1/e, shape (R, n)
     behind: FloatArray  # the sum of (x_i − neighbours' copies of it)·q, shape (R, 1)
-    moved: FloatArray  # the sum of (the last own move)·q over the same steps and links, shape (R, 1)
+    passed: FloatArray  # the sum of (the last own move)·q over the same steps and links, shape (R, 1)
     size: FloatArray  # the running median of |differences to the sources|, 0 before the first one, shape (R, n)
     outlier: FloatArray  # the sign of the last difference if it was an outlier, and else 0, shape (R, n)
 
@@ -130,22 +130,23 @@ class Relay(RecordLaw):
     5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l Σ_{j≠i} G_ij Δx_j), the best response to the copies. D has the
        eigenvectors of the symmetric part of the own block G_ii, and the eigenvalues d + e (1 + T) max(0, S − d), where
        d is the curvature (|d| plus three standard deviations where it is not certainly positive), S the largest row sum
-       of Σ_{j≠i} |G_ij|, e the *share* of the damping, and T the *delay*. Where S < d best responses contract in the
-       maximum norm whatever the delays; up to S = d, D is G_ii and l = 1. In games that rotate they may expand; D damps
-       them, and l, the least of T + ½ and the eigenvalues of D over S, expects the copies to go on. A component at a
-       bound, which did not move when it was asked to, counts as fixed for the others. No component of the response is
-       larger than the trust region of the model.
-    6. *Delay.* T = F + L − 1, from 2 to 4 N. F is the step in which the last component had its first source, and the
-       number of steps so far until then; on a fixed graph it is the distance of the farthest player, and m − 1 steps.
-       But where messages are late or lost, the first news come earlier than most. So the *lag* L ≥ 1 says how many
-       steps ago the own strategy was what the neighbours' copies of it are now: it is the sum over steps and live links
-       of (x_i − x^j_i)·q over that of Δx_i·q, where Δx_i is the last own move and q ← (1 − 1/T) q + Δx_i the *trail* of
-       own moves. L = 1 where each message arrives at once. Steps up to 2 F do not count, in which neighbours may not
-       know of any own move.
+       of |G_ij| over all j ≠ i, and the *delay* T and the *share* e of the damping follow below. Where S ≤ d, D is G_ii
+       and l = 1, and players of one component contract in the maximum norm whatever the delays, if S < d. Where S > d
+       best responses may expand, as in games that rotate; so D damps them, and l, the least of T + ½ and the
+       eigenvalues of D over S, counts on the copies to keep moving where it is above 1. A component at a bound, which
+       did not move when it was asked to, counts as fixed for the other own ones. No component of the response is larger
+       than the trust region of the model.
+    6. *Delay.* T = F + L − 1, from 2 to 4 N. F counts the steps before there was news of every component, and goes on
+       until then; on a fixed graph it is h + m − 1, h ≥ 2 being the distance of the farthest player. But where messages
+       vary in delay or are lost, the first news travel faster than most. So the *lag* L ≥ 1 is the age, in steps, of
+       the neighbours' copies of the own strategy as heard: the sum over steps and live links of (x_i − x^j_i)·q over
+       that of δ·q, where δ is the last own move and q ← (1 − 1/T) q + δ the *trail* of own moves. That is exact for
+       steady moves, and L = 1 where neighbours copy at once what they hear, and are heard at once. Steps up to 2 F do
+       not count: neighbours may not yet have heard of any own move.
     7. *Damping.* The damping that suffices for games that rotate is too much for others. So the *share* e, which starts
        at 1, falls where responses creep in one direction, and rises where they turn back: e ← e exp((0.6 − |v|)/(2 T)),
        within [1/8, 1], where v ← v + (Δx_i/|Δx_i| − v)/(3 T) is the mean direction, in the maximum norm. Steps that the
-       trust region or the input limit shortens do not count: they have one direction for as long as they are short.
+       trust region or the input limit shortens do not count: they keep one direction whatever the damping.
 
     In the first m steps, m being the largest n_i, the copies rest, and one own component after the other moves, so that
     the first changes of messages are noise alone, and the own block of dF is known at once.
@@ -208,7 +209,7 @@ class Relay(RecordLaw):
         is_unheard = ((contacts.news == 0) & ~is_own).any(axis=1, keepdims=True)
         first = np.where(is_new | is_unheard, np.clip(was.steps, _SHORTEST, longest), was.first)
         own_moves = np.where(is_own & (was.steps > 0), estimate - before, 0.0)
-        lag, trail, behind, moves = _measure_lag(observation, was, own_moves)
+        lag, trail, behind, passed = _measure_lag(observation, was, own_moves)
         delay = np.minimum(first + lag - 1, longest)
         wanted = _respond(model, drift, blocks, is_own, held, delay, was.share)
         response = shorten(wanted, model.radius)
@@ -217,7 +218,7 @@ class Relay(RecordLaw):
         asked = clip_to_reach(displacement, observation, layout)
         is_whole = (own_entries(asked, blocks) == wanted).all(axis=1, keepdims=True)
         share, direction = _adapt(was, wanted, is_whole, delay)
-        known = was.steps + 1, contacts, noise, model, asked, share, direction, first, delay, trail, behind, moves
+        known = was.steps + 1, contacts, noise, model, asked, share, direction, first, delay, trail, behind, passed
         return per_step(displacement, observation), self.pack(RelayMemory(*known, size, outlier))
 
     def _weigh(self, noise: Noise, mean: FloatArray, steps: FloatArray) -> tuple[Noise, FloatArray]:
@@ -278,17 +279,16 @@ def _drop_outliers(
 def _measure_lag(observation: Observation, was: RelayMemory, moves: FloatArray) -> tuple[FloatArray, ...]:
     """Return the lag L ≥ 1 of the neighbours' copies of the own strategy (R, 1), after the last own ``moves`` (R, n).
 
-    Where a copy is what the strategy was L steps ago, it differs from it by the sum of L moves. Both this and the last
-    move are weighted by the trail, so errors of messages, which do not depend on it, change the lag little. The other
-    arrays are the trail and the two sums.
+    A copy that is L steps old differs from the strategy by the sum of L moves. Both this and the last move are weighted
+    by the trail, on which noise does not depend. The other arrays are the trail and the two sums.
     """
     trail = (1 - 1 / was.delay) * was.trail + moves
     counts = (observation.weights > 0) & (was.steps > 2 * was.first)  # until then neighbours may not know of any move
     ahead = np.where(counts[:, :, None], -observation.relative_estimates, 0.0)
     behind = was.behind + np.einsum("rdn,rn->r", ahead, trail)[:, None]
-    moved = was.moved + counts.sum(axis=1, keepdims=True) * np.einsum("rn,rn->r", moves, trail)[:, None]
-    lag = np.where(moved > 0, behind / np.where(moved > 0, moved, 1.0), 1.0)
-    return np.clip(lag, 1.0, np.maximum(was.steps, 1.0)), trail, behind, moved
+    passed = was.passed + counts.sum(axis=1, keepdims=True) * np.einsum("rn,rn->r", moves, trail)[:, None]
+    lag = np.where(passed > 0, behind / np.where(passed > 0, passed, 1.0), 1.0)
+    return np.clip(lag, 1.0, np.maximum(was.steps, 1.0)), trail, behind, passed
 
 
 def _adapt(
