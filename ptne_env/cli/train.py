@@ -85,12 +85,13 @@ def train(
 
     trainer = training.TRAINERS[require_name("algorithm", algorithm, training.TRAINERS)]
     kind = trainer.load().Settings if algorithm == "through-world" else partial(Configuration, algorithm=algorithm)
-    values = options.read_changes(changes) | {"seed": seed}
+    values = options.read_changes(changes)
+    settings = [name for name in signature(kind).parameters if name not in ("scenario", "algorithm", "seed")]
+    for name in values:
+        require_name("setting", name, settings, "say --seed, --algorithm or SCENARIO for those")
     if steps is not None:
         values["steps" if trainer.unit == "agent-steps" else "updates"] = steps
-    for name in values:
-        require_name("setting", name, signature(kind).parameters)
-    first: Run = kind(scenario, **values)
+    first: Run = kind(scenario, seed=seed, **values)
     options.require_trust(options.foreign_names(first.scenario), trust=trust)
     runs = {out: first}
     if seeds is not None:

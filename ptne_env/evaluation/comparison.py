@@ -32,7 +32,7 @@ from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.parts import FactorySpec, names_of
 from ptne_env.world.scenario import Scenario
 
-REFERENCES = ZERO, LAW, _ = "zero-input", "static", "oracle"
+ZERO, LAW, ORACLE = REFERENCES = "zero-input", "static", "oracle"
 """The reference policies that every run of a suite includes: zero input with score 0, the paper's law, an oracle."""
 
 

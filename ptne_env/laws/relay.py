@@ -205,9 +205,8 @@ class Relay(RecordLaw):
         asked, moved = own_entries(was.asked, blocks), own_entries(estimate - was.model.estimate, blocks)
         held = (np.abs(moved) < _HELD * np.abs(asked)) & (np.abs(asked) > _RESOLVED * scale)
         longest = _LONGEST * layout.num_players
-        is_new = ((contacts.news > was.contacts.news) & ~is_own).any(axis=1, keepdims=True)
-        is_unheard = ((contacts.news == 0) & ~is_own).any(axis=1, keepdims=True)
-        first = np.where(is_new | is_unheard, np.clip(was.steps, _SHORTEST, longest), was.first)
+        was_unheard = ((was.contacts.news == 0) & ~is_own).any(axis=1, keepdims=True)
+        first = np.where(was_unheard, np.clip(was.steps, _SHORTEST, longest), was.first)
         own_moves = np.where(is_own & (was.steps > 0), estimate - before, 0.0)
         lag, trail, behind, passed = _measure_lag(observation, was, own_moves)
         delay = np.minimum(first + lag - 1, longest)

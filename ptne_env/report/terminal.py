@@ -14,7 +14,7 @@ from rich.text import Text
 from ptne_env.evaluation.results import Results
 from ptne_env.report.tables import Column, Table, answer, answer_table, track_tables
 
-_STYLES = {"holds": "green", "agree": "green", "fails": "red"}
+_STYLES = {"holds": "green", "fails": "red"}
 """Colours of cells by their first word."""
 
 
