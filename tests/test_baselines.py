@@ -9,7 +9,7 @@ import pytest
 import release_check
 from scipy import stats
 
-from baselines import algorithms, directed, edge_cases, learned, pages, publish, published, ranking, tune
+from baselines import algorithms, directed, edge_cases, pages, publish, published, ranking, tune
 from ptne_env import CATALOGUE, evaluate, learn, theory
 from ptne_env.evaluation import CODED, ENTERED, POLICIES, EpisodeSet
 from ptne_env.evaluation.comparison import Job
@@ -200,20 +200,6 @@ def test_one_principal_component_explains_tracks_that_rank_alike_and_not_others(
     alike = np.outer(generator.normal(size=8), [1.0, 2.0, 5.0])
     assert ranking.principal_share(alike) == pytest.approx(1)
     assert ranking.principal_share(np.linalg.qr(generator.normal(size=(8, 3)))[0]) < 0.6
-
-
-def test_the_script_of_the_learned_policies_fills_all_parts_of_its_page_and_leaves_the_prose():
-    page = published.ROOT / "baselines" / "learned.md"
-    text, names = page.read_text(encoding="utf-8"), ("specialists", "limit", "outside", "tracks")
-    filled = learned.fill_parts(text, {name: f"\\1 {name}" for name in names})
-    assert [filled.count(f"<!-- part {name} -->") + filled.count(f"\\1 {name}") for name in names] == [2] * 4
-    assert filled.count("<!-- end of part -->") == text.count("<!-- end of part -->") == 4
-    assert "| " not in filled
-
-
-def test_players_who_hear_all_reach_the_equilibrium_and_others_do_not_without_a_model_of_the_unheard():
-    assert learned.limit("random-energy", episodes=3) == pytest.approx(12)
-    assert learned.limit("random-energy-switching", episodes=3) < 8
 
 
 def test_the_balanced_law_gives_all_own_gradients_the_same_influence_on_the_mean():

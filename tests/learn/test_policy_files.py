@@ -101,7 +101,6 @@ FOREIGN = {
     "other shapes": (recurrent_with(gate=np.zeros((1, 5), dtype=np.float32)), "other shapes"),
     "more weights": (recurrent_with(more=np.zeros(1, dtype=np.float32)), "other shapes"),
     "not a number": (recurrent_with(gate=RECURRENT["gate"] * np.nan), "not finite"),
-    "half a step": (recurrent_with(action_repeat=np.full(1, 0.5, dtype=np.float32)), "for no number of steps"),
     "large": (recurrent_with(again=LARGE), "unpacks to more than 16 MiB"),
     "large with layers": (pack(layered() | {"again": LARGE}, layered={}), "unpacks to more than 16 MiB"),
     "objects": (recurrent_with(gate=np.array([print])), "Object arrays cannot be loaded"),
