@@ -4,8 +4,8 @@
     train [ALGORITHM]...    the defaults with five seeds on every track of ptne-v1, for 20 M agent-steps, or for 50 M
                             where the last fifth of those gained 0.05 digits or more
     publish                 play what was trained on the test episodes, and replace its rows in ``algorithms.csv``, its
-                            learning curves in ``curves.csv`` and, by the seed with the most digits on validation
-                            episodes, the files of ``ippo``; then draw the picture
+                            learning curves in ``curves.csv``, and the files of ``ppo`` by those seeds of all algorithms
+                            that have more digits on validation episodes; then draw the picture
 
 Every run has a folder in ``--out``, and one core; a run that has ended is not repeated.
 """
@@ -45,7 +45,7 @@ from ptne_env.execution import Runner, Workers
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.style import COLOURS, INK, drawing, encode
 from ptne_env.suites import get_suite
-from ptne_env.training import TRAINERS
+from ptne_env.training import TRAINERS, VALIDATION_EPISODES
 from ptne_env.training.configuration import POLICY, Configuration
 from ptne_env.training.curve import FLAT, last_gain, read_learning_curve
 
@@ -170,11 +170,17 @@ def rows_of(track: str, algorithm: str, folder: Path, runner: Runner) -> list[Ro
 
 
 def ship(track: str, folder: Path) -> None:
-    """Replace the file of a track by that of the seed with the most digits on validation episodes."""
-    best = max(folder.glob("seed-*"), key=lambda seed: json.loads((seed / "summary.json").read_text())["digits"])
-    path = Path(learn.__file__).parent / f"{PPO}-{track}.npz"
-    write_atomically(path, (best / POLICY).read_bytes())
-    print(f"{path.name}: {best}")
+    """Replace the file of PPO on a track by the seed with the most digits on validation episodes, if it has more."""
+    digits = {seed: float(json.loads((seed / "summary.json").read_text())["digits"]) for seed in folder.glob("seed-*")}
+    best, path = max(digits, key=digits.__getitem__), Path(learn.__file__).parent / f"{PPO}-{track}.npz"
+    shipped = -np.inf
+    if path.exists():
+        name = f"ptne-v1/{track}"
+        results = evaluate(str(path), name, episodes=VALIDATION_EPISODES, split="validation")
+        shipped = float(np.mean(results.samples[name, path.stem]["digits"]))
+    if digits[best] > shipped:
+        write_atomically(path, (best / POLICY).read_bytes())
+    print(f"{path.name}: {shipped:.2f}, {best}: {digits[best]:.2f}")
 
 
 def curves_of(track: str, algorithm: str, folder: Path) -> list[Row]:
@@ -245,13 +251,12 @@ def mean_of(numbers: Published, *place: str) -> float:
 
 
 def publish(out: Path, jobs: int) -> None:
-    """Write the rows and curves of everything that is trained, the files of ``ippo``, and the picture."""
+    """Write the rows and curves of everything that is trained, the files of ``ppo``, and the picture."""
     runner, rows, curves = Runner(out / "jobs", Workers(jobs)), list[Row](), list[Row]()
     for track, algorithm, folder in trained(out):
         rows += rows_of(track, algorithm, folder, runner)
         curves += curves_of(track, algorithm, folder)
-        if algorithm == PPO:
-            ship(track, folder)
+        ship(track, folder)
     merge(TRAININGS, COLUMNS, rows)
     draw(merge(CURVES, CURVE_COLUMNS, curves))
 

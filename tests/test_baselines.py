@@ -111,11 +111,11 @@ def test_a_small_run_gives_rows_from_which_every_table_of_the_suite_is_written(t
 
 
 def test_what_is_trained_gives_a_row_and_the_best_seed_on_validation_episodes_ships(tmp_path, monkeypatch):
-    shipped = learn.shipped_path("ippo-rounding").read_bytes()
+    shipped = learn.shipped_path("ppo-rounding").read_bytes()
     for seed in algorithms.SEEDS:
         run = algorithms.folder_of("ippo", "rounding", 20_000_000, tmp_path) / f"seed-{seed}"
         run.mkdir(parents=True)
-        (run / "policy.npz").write_bytes(learn.shipped_path("ippo-nominal").read_bytes() if seed < 4 else shipped)
+        (run / "policy.npz").write_bytes(learn.shipped_path("ppo-nominal").read_bytes() if seed < 4 else shipped)
         (run / "core-seconds.json").write_text("90.0")
         write_record(run / "summary.json", RunSummary(20_480_000, 0, 90.0, digits=seed / 2))
         write_learning_curve(run, [0, 80, 100], [[0.0, 0.0], [2.0, 2.0], [2.0, 2.0 + seed / 100]])
@@ -135,9 +135,13 @@ def test_what_is_trained_gives_a_row_and_the_best_seed_on_validation_episodes_sh
     assert (tmp_path / "curves.csv").read_text().splitlines()[1:4] == [
         *("rounding,ippo,0,0,0", "rounding,ippo,0,1.2,2", "rounding,ippo,0,1.5,2")
     ]
-    assert (tmp_path / "ippo-rounding.npz").read_bytes() == shipped
+    assert (tmp_path / "ppo-rounding.npz").read_bytes() == shipped
+    for digits, expected in ((2.01, shipped), (3.0, (run.with_name("seed-0") / "policy.npz").read_bytes())):
+        write_record(run.with_name("seed-0") / "summary.json", RunSummary(20_480_000, 0, 90.0, digits=digits))
+        algorithms.ship("rounding", run.parent)  # the file has 2.04
+        assert (tmp_path / "ppo-rounding.npz").read_bytes() == expected
     assert (tmp_path / "algorithms.png").stat().st_size > 10_000
-    played = evaluate({name: learn.load(f"ippo-{name}") for name in ("nominal", "rounding")}, "ptne-v1/rounding")
+    played = evaluate({name: learn.load(f"ppo-{name}") for name in ("nominal", "rounding")}, "ptne-v1/rounding")
     nominal, rounding = (samples["digits"].mean() for samples in played.samples.values())
     means = [nominal, nominal, nominal, nominal, rounding]
     line = published.algorithms(published.read()).splitlines()[-1]

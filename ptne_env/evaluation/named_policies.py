@@ -43,7 +43,7 @@ _COMPARED = {
     "ppo-random-energy": ("A network that PPO trained on random-energy.", DATA.spec("ppo-random-energy")),
 }
 _OTHERS = {
-    "ippo": ("A network for each track of ptne-v1, which independent PPO trained there.", DATA.spec(f"ippo-{TRACK}")),
+    "ppo": ("A network for each track of ptne-v1, which independent PPO trained there.", DATA.spec(f"ppo-{TRACK}")),
     "recurrent-random-worlds": (
         "A network with memory that was trained through the world, in 38 worlds like the tracks, with other numbers.",
         DATA.spec("recurrent-random-worlds"),
