@@ -1,7 +1,7 @@
 """The network for all tracks that was trained through the world: its worlds, its training, and ``learned.md``.
 
     python -m baselines.learned train STAGE [--seeds 0,1,2,3,4] [--out runs]   train a stage; resumes what is unfinished
-    python -m baselines.learned table [--out runs]                             play all seeds, and fill ``learned.md``
+    python -m baselines.learned table STAGE [--out runs]                       play all seeds, and fill ``learned.md``
 
 No world of a suite is trained on: sizes, numbers and fault levels of these worlds are others, and the worlds of the
 suite ``robustness`` are drawn from another seed.
@@ -230,9 +230,9 @@ def train(name: str, seeds: list[int], out: Path) -> None:
         write_atomically(shipped, npz_policy.seal(mean, best.training | {"start": stages[stage - 1]}))
 
 
-def table(out: Path) -> None:
-    """Play all seeds of the last stage on the suite, and fill the table of ``learned.md`` with their spread."""
-    suite, seeds = get_suite("ptne-v1"), get_policy_spec(f"trained={out}/{TRAINED}/seed-*/policy.npz")
+def table(name: str, out: Path) -> None:
+    """Play all seeds of a stage on the suite, and fill the table of ``learned.md`` with their spread."""
+    suite, seeds = get_suite("ptne-v1"), get_policy_spec(f"trained={out}/{name}/seed-*/policy.npz")
     found = evaluate(seeds, suite.tracks, episodes=suite.episodes)
     digits = {track.name: found.samples[track.name, seeds.name]["digits"].mean(1) for track in suite.tracks}
     rows = [[track, f"{means.std(ddof=1):.2f}", f"{len(means)}"] for track, means in digits.items()]
@@ -251,4 +251,4 @@ if __name__ == "__main__":
     if given.command == "train":
         train(given.stage, [int(seed) for seed in given.seeds.split(",")], given.out)
     else:
-        table(given.out)
+        table(given.stage, given.out)
