@@ -45,7 +45,7 @@ _COMPARED = {
 _OTHERS = {
     "ppo": ("A network for each track of ptne-v1, which PPO trained there.", DATA.spec(f"ppo-{TRACK}")),
     "recurrent-random-worlds": (
-        "A network with memory that was trained through the world, in 76 worlds, many like the tracks with other numbers.",
+        "A network with memory that was trained through 76 worlds, many like the tracks with other numbers.",
         DATA.spec("recurrent-random-worlds"),
     ),
     "static-tuned": ("The static law with tuned weights.", part("law:static", kappa=2.2, gradient_gain=2.94)),
