@@ -4,8 +4,8 @@
     train [ALGORITHM]...    the defaults with several seeds on every track of ptne-v1; PPO for 20 M agent-steps, or for
                             50 M where the last fifth of those gained 0.05 digits or more, and SAC for 2 M
     publish                 play what was trained on the test episodes, and replace its rows in ``algorithms.csv``, its
-                            learning curves in ``curves.csv`` and, by the seed with the most digits on validation
-                            episodes, the files of ``ippo``; then draw the picture
+                            learning curves in ``curves.csv``, and the files of ``ppo`` by those seeds of PPO that
+                            have more digits on validation episodes; then draw the picture
 
 Every run has a folder in ``--out``, and one core; a run that has ended is not repeated.
 """
@@ -46,7 +46,7 @@ from ptne_env.execution import Runner, Workers
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.style import COLOURS, INK, drawing, encode
 from ptne_env.suites import get_suite
-from ptne_env.training import TRAINERS
+from ptne_env.training import TRAINERS, VALIDATION_EPISODES
 from ptne_env.training.configuration import POLICY, Configuration
 from ptne_env.training.curve import FLAT, last_gain, read_learning_curve
 
@@ -85,15 +85,17 @@ class Plan(NamedTuple):
         seeds: the seeds on every track.
         trial_steps: the agent-steps of a trial.
         trials: the settings that are tried beside the defaults.
+        ships: whether its seeds may become the files of ``ppo``.
     """
 
     budgets: tuple[int, ...]
     seeds: range
     trial_steps: int
     trials: Sequence[Settings]
+    ships: bool
 
 
-_PPO = Plan((20_000_000, 50_000_000), range(5), 5_000_000, candidates(20))
+_PPO = Plan((20_000_000, 50_000_000), range(5), 5_000_000, candidates(20), ships=True)
 _SAC_TRIALS = (
     {"log_std": -2.4},
     {"log_std": -3.4},
@@ -106,7 +108,7 @@ _SAC_TRIALS = (
 )
 PLANS = {
     **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), _PPO),
-    "sb3-sac": Plan((2_000_000,), range(2), 400_000, _SAC_TRIALS),
+    "sb3-sac": Plan((2_000_000,), range(2), 400_000, _SAC_TRIALS, ships=False),
 }
 """The algorithms that are trained."""
 
@@ -203,11 +205,17 @@ def rows_of(track: str, algorithm: str, folder: Path, runner: Runner) -> list[Ro
 
 
 def ship(track: str, folder: Path) -> None:
-    """Replace the file of a track by that of the seed with the most digits on validation episodes."""
-    best = max(folder.glob("seed-*"), key=lambda seed: json.loads((seed / "summary.json").read_text())["digits"])
-    path = Path(learn.__file__).parent / f"{PPO}-{track}.npz"
-    write_atomically(path, (best / POLICY).read_bytes())
-    print(f"{path.name}: {best}")
+    """Replace the file of PPO on a track by the seed with the most digits on validation episodes, if it has more."""
+    digits = {seed: float(json.loads((seed / "summary.json").read_text())["digits"]) for seed in folder.glob("seed-*")}
+    best, path = max(digits, key=digits.__getitem__), Path(learn.__file__).parent / f"{PPO}-{track}.npz"
+    shipped = -np.inf
+    if path.exists():
+        name = f"ptne-v1/{track}"
+        results = evaluate(str(path), name, episodes=VALIDATION_EPISODES, split="validation")
+        shipped = float(np.mean(results.samples[name, path.stem]["digits"]))
+    if digits[best] > shipped:
+        write_atomically(path, (best / POLICY).read_bytes())
+    print(f"{path.name}: {shipped:.2f}, {best}: {digits[best]:.2f}")
 
 
 def curves_of(track: str, algorithm: str, folder: Path) -> list[Row]:
@@ -278,12 +286,12 @@ def mean_of(numbers: Published, *place: str) -> float:
 
 
 def publish(out: Path, jobs: int) -> None:
-    """Write the rows and curves of everything that is trained, the files of ``ippo``, and the picture."""
+    """Write the rows and curves of everything that is trained, the files of ``ppo``, and the picture."""
     runner, rows, curves = Runner(out / "jobs", Workers(jobs)), list[Row](), list[Row]()
     for track, algorithm, folder in trained(out):
         rows += rows_of(track, algorithm, folder, runner)
         curves += curves_of(track, algorithm, folder)
-        if algorithm == PPO:
+        if PLANS[algorithm].ships:
             ship(track, folder)
     merge(TRAININGS, COLUMNS, rows)
     draw(merge(CURVES, CURVE_COLUMNS, curves))

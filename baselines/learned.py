@@ -1,38 +1,28 @@
-"""The policies that were trained through the world: their recipe, their training, and the table ``learned.md``.
+"""The network for all tracks that was trained through the world: its worlds, its training, and ``learned.md``.
 
-    python -m baselines.learned train NAME [--seeds 0,1,2,3,4] [--out runs]   train a recipe; resumes what is unfinished
-    python -m baselines.learned table [--out runs]                            compare, and fill ``learned.md``
-    python -m baselines.learned limit                                         digits without a model of the unheard
+    python -m baselines.learned train STAGE [--seeds 0,1,2,3,4] [--out runs]   train a stage; resumes what is unfinished
+    python -m baselines.learned table STAGE [--out runs]                       play all seeds, and fill ``learned.md``
 
-No world of a suite is trained on: sizes, numbers and fault levels of the generalist's worlds are others, and the worlds
-of the suite ``robustness`` are drawn from another seed.
+No world of a suite is trained on: sizes, numbers and fault levels of these worlds are others, and the worlds of the
+suite ``robustness`` are drawn from another seed.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from dataclasses import replace
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-import networkx as nx
-import numpy as np
-
-from baselines.published import best_law, fill_marks, interval_of, markdown, plain, read, with_interval
-from ptne_env import PolicySpec, evaluate, get_scenario, learn
-from ptne_env.evaluation import Results, get_policy_spec
+from baselines.published import TRAINED, fill_marks, markdown
+from ptne_env import evaluate, get_scenario, learn
+from ptne_env.evaluation import get_policy_spec
 from ptne_env.evaluation.tracks import Teammates, Track
-from ptne_env.execution import Runner, Workers
-from ptne_env.learn import npz_policy, recurrent
+from ptne_env.learn import npz_policy
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.parts import FactorySpec
-from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.suites import get_suite
 from ptne_env.suites.robustness import robustness
-from ptne_env.world import distances
-from ptne_env.world.world import World
 
 part = FactorySpec.of
 
@@ -49,11 +39,11 @@ def _noisy(std: float, *stages: FactorySpec) -> FactorySpec:
     return part("channel:chain", stages=[*stages, part("channel:noise", std=std)])
 
 
-def _cycle(players: int, modes: int, dwell: float, clock: str) -> FactorySpec:
+def _cycle(players: int, modes: int, dwell: float) -> FactorySpec:
     """The links of a cycle in turn, every mode disconnected."""
     links = [(i, (i + 1) % players) for i in range(players)]
     graphs = [part("topology:edges", players=players, edges=links[mode::modes]) for mode in range(modes)]
-    return part("topology:periodic", graphs=graphs, dwells=[dwell] * modes, clock=clock)
+    return part("topology:periodic", graphs=graphs, dwells=[dwell] * modes, clock="physical")
 
 
 def _edges(players: int, probability: float, dwells: tuple[float, float], clock: str) -> FactorySpec:
@@ -81,12 +71,12 @@ def _dozen(name: str, offsets: tuple[int, ...], **changes: Any) -> Track:
 
 WORLDS = (
     _world("clean", 4, channel="perfect", message_range=None),
-    _world("cycle-physical", 6, topology=_cycle(6, 3, 0.09, "physical"), channel=_noisy(0.002)),
-    _world("cycle-of-four", 4, topology=_cycle(4, 2, 0.13, "physical"), channel=_noisy(0.001)),
-    _world("cycle-of-seven", 7, topology=_cycle(7, 3, 0.12, "physical"), channel=_noisy(0.001)),
+    _world("cycle-physical", 6, topology=_cycle(6, 3, 0.09), channel=_noisy(0.002)),
+    _world("cycle-of-four", 4, topology=_cycle(4, 2, 0.13), channel=_noisy(0.001)),
+    _world("cycle-of-seven", 7, topology=_cycle(7, 3, 0.12), channel=_noisy(0.001)),
     _world("edges-physical", 4, topology=_edges(4, 0.3, (0.07, 0.15), "physical"), channel=_noisy(0.002)),
     _world("edges-transformed", 6, topology=_edges(6, 0.35, (0.15, 0.5), "transformed"), channel=_noisy(0.2)),
-    _world("cycle-clean", 6, topology=_cycle(6, 3, 0.09, "physical"), channel="perfect", message_range=None),
+    _world("cycle-clean", 6, topology=_cycle(6, 3, 0.09), channel="perfect", message_range=None),
     _world("edges-clean", 4, topology=_edges(4, 0.4, (0.2, 0.6), "transformed"), channel="perfect", message_range=None),
     _world("late", 4, channel=_noisy(0.1, part("channel:delay", steps=0, longest=5), BURSTS)),
     _world("rounded", 6, channel=part("channel:rounding", width=0.3), topology=_graphs(6, 0.35)),
@@ -140,7 +130,7 @@ WORLDS = (
         message_range=120.0,
         channel=_noisy(0.001),
     ),
-    _world("ten-switching", 10, topology=_cycle(10, 2, 0.1, "physical"), gain=8.0, steps=200, channel=_noisy(0.001)),
+    _world("ten-switching", 10, topology=_cycle(10, 2, 0.1), gain=8.0, steps=200, channel=_noisy(0.001)),
     _dozen("dozen", (1, 3), steps=150),
     _dozen("ring", (1,)),
     _world(
@@ -161,53 +151,59 @@ LATER_WORLDS = (
 )
 """Those that the first stage does not see."""
 
-
-def drawn(count: int, seed: int = 77) -> tuple[Track, ...]:
-    """Random worlds of at most nine players and 500 steps, of another seed than those of the suite."""
-    tracks = robustness(seed).tracks
-    small = [track for track in tracks if len(track.world.neighbours[0]) <= 9 and track.scenario.steps <= 500]
-    return tuple(replace(track, name=f"drawn-{track.name}") for track in small[:count])
-
-
-FIRST, SECOND, ALL = GENERALIST = "random-worlds-first", "random-worlds-second", "random-worlds"
-"""The recipes of the three stages of the generalist, of which each goes on from seed 0 of the one before."""
-
-DEFAULTS = "defaults"
-"""That of ``ptne train --algorithm through-world``, with all defaults."""
-
-SHARED = {"hidden": 48, "slot_hidden": 24, "knows_costs": False, "cells": 100}
-"""Settings of these stages."""
-
-RECIPES: dict[str, dict[str, Any]] = {
-    "random-energy-switching-transformed": {"updates": 1200},
-    "random-energy-switching": {
-        "updates": 1800,
-        "cells": 800,
-        "window": 100,
-        "memory_shrink": 0.97,
-        "hidden": 64,
-        "slot_hidden": 32,
-        "action_repeat": 4,
-    },
-    DEFAULTS: {"scenario": "random-energy-switching-transformed"},
-    FIRST: SHARED | {"updates": 1200},
-    SECOND: SHARED | {"updates": 220},
-    ALL: SHARED | {"updates": 120, "rate": 1.5e-3},
-}
-"""Settings of two specialists, of a user's first run, and of the generalist. The scenario is that of the name, unless
-it is among them."""
-
-OUTSIDE = (
-    ("curvatures of 0.1 to 4, not 0.5 to 2", {"game": part("game:random-energy", players=5, curvature=(0.1, 4.0))}),
-    ("messages that are one step late", {"channel": part("channel:delay", steps=1)}),
-    ("dwells twice as long", {"topology": part("topology:paper", dwell=0.5, clock="transformed")}),
-    ("eight players", {"game": part("game:random-energy", players=8), "topology": _cycle(8, 4, 0.25, "transformed")}),
+EXACT = {"gain": 4.0, "steps": 200, "channel": "perfect", "message_range": None}
+LAST_WORLDS = (
+    _world("ring-of-24", 24, topology=part("topology:cycle", players=24), **EXACT),
+    _world("path-of-16", 16, topology=part("topology:path", players=16), **EXACT),
+    _world("ring-of-16", 16, topology=part("topology:cycle", players=16), **EXACT | {"channel": _noisy(0.0003)}),
+    _world("lossy", 6, channel=part("channel:loss", probability=0.7), topology=_graphs(6, 0.5)),
+    _world("lossy-star", 7, channel=part("channel:loss", probability=0.5), topology=part("topology:star", players=7)),
+    _world("delayed", 5, channel=part("channel:delay", steps=0, longest=9), topology=_graphs(5, 0.4)),
+    _world("delayed-ring", 8, channel=part("channel:delay", steps=4), topology=part("topology:cycle", players=8)),
 )
-"""Worlds outside of the family of the first specialist."""
+"""Long ways, heavy loss and long delays, which the last stage alone sees."""
+
+
+def drawn(seed: int, *kinds: str, most_steps: int = 700) -> tuple[Track, ...]:
+    """Random worlds of at most nine players, of some kinds, and of another seed than those of the suites.
+
+    None has heavy tails: XLA needs minutes to compile their draws for two environments.
+    """
+    return tuple(
+        replace(track, name=f"drawn-{seed}-{track.name}")
+        for track in robustness(seed).tracks
+        if len(track.world.neighbours[0]) <= 9
+        and track.scenario.steps <= most_steps
+        and "tails" not in track.change
+        and any(kind in track.change for kind in kinds or ("",))
+    )
+
+
+def worlds_of(stage: int) -> tuple[Track, ...]:
+    """The worlds of a stage; each sees those of the stages before."""
+    worlds = LATER_WORLDS * (stage > 0) + WORLDS + drawn(77, most_steps=500)[:6]
+    if stage < 3:
+        return worlds
+    rotating = [track for seed in (77, 78, 79) for track in drawn(seed, "rotating")]
+    others = [track for track in drawn(78, "a perfect channel", "complements") if "rotating" not in track.change]
+    return worlds + LAST_WORLDS + (*rotating, *others[:10])
+
+
+SHARED = {"hidden": 48, "slot_hidden": 24, "cells": 100}
+STAGES: dict[str, dict[str, Any]] = {
+    f"{TRAINED}-first": SHARED | {"updates": 1200},
+    f"{TRAINED}-second": SHARED | {"updates": 220},
+    f"{TRAINED}-third": SHARED | {"updates": 120, "rate": 1.5e-3},
+    TRAINED: SHARED | {"updates": 160, "rate": 1.5e-3},
+}
+"""Settings of the stages, of which each goes on from seed 0 of the one before."""
 
 
 def train(name: str, seeds: list[int], out: Path) -> None:
-    """Train a recipe with several seeds, and replace the shipped file."""
+    """Train a stage with several seeds; the best of the last stage in training replaces the shipped file.
+
+    That file has the mean of its weights and those from which the stage started, which plays better than both.
+    """
     from ptne_env.training import through_world
     from ptne_env.training.configuration import POLICY
 
@@ -215,139 +211,44 @@ def train(name: str, seeds: list[int], out: Path) -> None:
         if done % 50 == 0:
             print(f"{name} {seed}: {done}/{total}, {digits:.3f} digits", flush=True)
 
-    stage = GENERALIST.index(name) if name in GENERALIST else 0
-    start = str(out / GENERALIST[stage - 1] / "seed-0" / POLICY) if stage else ""
-    tracks = WORLDS + drawn(6) if name in GENERALIST else ()
-    if stage:
-        tracks = LATER_WORLDS + tracks
+    stages = list(STAGES)
+    stage = stages.index(name)
+    before = out / stages[stage - 1] / "seed-0" / POLICY
+    start, tracks = str(before) if stage else "", worlds_of(stage)
     folders = [out / name / f"seed-{seed}" for seed in seeds]
     for seed, folder in zip(seeds, folders, strict=True):
-        recipe = {"scenario": name, "seed": seed, "start": start} | RECIPES[name]
-        summary = through_world.train(through_world.Settings(**recipe), folder, show, tracks)
+        settings = through_world.Settings(name, seed=seed, start=start, **STAGES[name])
+        summary = through_world.train(settings, folder, show, tracks)
         steps = f"{summary.agent_steps / 1e6:.1f} M agent-steps"
         print(f"{name} {seed}: {summary.digits:.2f} digits, {steps}, {summary.seconds:.0f} s")
-    if name not in {DEFAULTS, FIRST, SECOND}:
-        ship(name, folders)
+    if name == TRAINED:
+        best = max((learn.load(folder / POLICY) for folder in folders), key=lambda run: float(run.training["digits"]))
+        first = learn.load(before).weights
+        mean = {key: (first[key] + weights) / 2 for key, weights in best.weights.items()}
+        shipped = Path(learn.__file__).parent / f"{TRAINED}.npz"
+        # The stage is the same on every machine, unlike the path.
+        write_atomically(shipped, npz_policy.seal(mean, best.training | {"start": stages[stage - 1]}))
 
 
-def ship(name: str, folders: list[Path]) -> None:
-    """Replace the shipped file by the best policy in training."""
-    runs = [learn.load(folder / "policy.npz") for folder in folders]
-    best = max(runs, key=lambda run: float(run.training["digits"]))
-    start = Path(best.training["start"]).parent.parent.name  # the recipe, on every machine
-    shipped = Path(learn.__file__).parent / f"recurrent-{name}.npz"
-    write_atomically(shipped, npz_policy.seal(best.weights, best.training | {"start": start}))
-
-
-def untrained(out: Path, seeds: int = 20) -> PolicySpec:
-    """Networks with random weights."""
-    for seed in range(seeds):
-        weights = recurrent.initial_weights(np.random.default_rng(seed))
-        write_atomically(out / "untrained" / f"seed-{seed}.npz", npz_policy.seal(weights, {"seed": seed}))
-    return get_policy_spec(f"untrained={out}/untrained/seed-*.npz")
-
-
-def trained(name: str, out: Path) -> PolicySpec:
-    """All training seeds of a recipe that are there."""
-    return get_policy_spec(f"trained={out}/{name}/seed-*/policy.npz")
-
-
-def digits(results: Results, track: str, policy: str) -> str:
-    """The mean with its interval, and the spread over training seeds."""
-    return with_interval(interval_of(results.record(track, policy, "digits"))) + spread(results, track, policy)
-
-
-def spread(results: Results, track: str, policy: str) -> str:
-    """The standard deviation over training seeds, and their number, if there are several."""
-    seeds = results.samples[track, policy]["digits"].mean(1)
-    return f" ± {seeds.std(ddof=1):.2f} ({len(seeds)})" if len(seeds) > 1 else ""
-
-
-def table(out: Path) -> None:
-    """Play the specialists on the test episodes of the published laws, and fill ``learned.md``.
-
-    The numbers of the generalist are those of ``results.csv``.
-    """
-    published, run = read(), Runner(out / "played", Workers(2))
-
-    def played(world: str, name: str, policy: str | PolicySpec, episodes: int = 200) -> str:
-        """The digits of a policy of this name."""
-        return digits(evaluate(policy, [world], episodes=episodes, run=run), world, name)
-
-    rows = []
-    for name in [name for name in RECIPES if name not in GENERALIST]:
-        world = str(RECIPES[name].get("scenario", name))
-        theirs = plain(published.cell("comparison", world, "static"))
-        before = played(world, "untrained", untrained(out), episodes=10)
-        ours, file = played(world, "trained", trained(name, out)), f"recurrent-{name}"
-        shipped = "–" if name == DEFAULTS else played(world, file, file)
-        label = world + ", defaults of `ptne train`" * (name == DEFAULTS)
-        law, cell = best_law(published, "comparison", world)
-        rows.append([label, theirs, f"{law} {with_interval(cell)}", before, ours, shipped])
-    heading = "trained through the world"
-    headings = ["", "the paper's law", "best law", "untrained", heading, "the shipped file"]
-    parts = {"specialists": markdown(headings, rows)}
-
-    family = get_scenario("random-energy-switching-transformed")
-    players = "routed-unknown", f"recurrent-{family.name}"
-    outside = [family.replace(name=name, **changes) for name, changes in OUTSIDE]
-    found = evaluate(players, outside, episodes=100, run=run)
-    rows = [[name, *(digits(found, name, player) for player in players)] for name, _ in OUTSIDE]
-    parts["outside"] = markdown(["", "routed-unknown", "the first specialist"], rows)
-
-    rows, shipped, suite = [], f"recurrent-{ALL}", get_suite("ptne-v1")
-    found = evaluate(trained(ALL, out), suite.tracks, episodes=suite.episodes, run=run)
-    for track in published.names("track", "ptne-v1"):
-        ours = with_interval(published.cell("ptne-v1", track, shipped))
-        rows.append([track, ours + spread(found, track, "trained")])
-    parts["tracks"] = markdown(["", heading], rows)
-
-    document = Path(__file__).with_suffix(".md")
-    parts["limit"] = f"{limit('random-energy-switching'):.2f}"
-    write_atomically(document, fill_parts(document.read_text(encoding="utf-8"), parts))
-
-
-def fill_parts(text: str, parts: Mapping[str, str]) -> str:
-    """The document with what stands between its marks ``<!-- part NAME -->`` and ``<!-- end of part -->``."""
-    return fill_marks(text, "part", "end of part", parts.__getitem__)
-
-
-def limit(name: str, episodes: int = 200) -> float:
-    """The mean digits of players who do all that is possible but predict players whom they cannot hear.
-
-    In every dwell, linked players share their freshest estimates, and play the exact equilibrium among themselves,
-    given these. For affine games whose players have one component.
-    """
-    world, streams = World(get_scenario(name)), [RandomStreams.from_seed(seed) for seed in range(episodes)]
-    game, num_players = world.draw_game(streams), world.game.num_players
-    truth = game.nash_equilibria
-    jacobian = game.jacobian(truth).transpose(2, 0, 1)
-    errors = (world.draw_estimates(streams) - truth[:, None]).transpose(1, 2, 0)  # of a player, in an episode
-    heard_at = np.eye(num_players)
-    for dwell, (mode, _) in enumerate(groupby(world.modes[:-1]), start=2):
-        for linked in map(list, nx.connected_components(nx.from_numpy_array(world.topology.graphs[mode].adjacency))):
-            others = [player for player in range(num_players) if player not in linked]
-            freshest = np.array(linked)[heard_at[linked].argmax(0)]
-            shared = errors[freshest, :, range(num_players)].T
-            pressure = jacobian[:, linked][:, :, others] @ shared[:, others, None]
-            shared[:, linked] = -np.linalg.solve(jacobian[:, linked][:, :, linked], pressure)[..., 0]
-            heard_at[linked] = heard_at[linked].max(0)
-            heard_at[np.ix_(linked, linked)] = dwell
-            errors[linked] = shared
-    estimates = truth[:, None] + errors.transpose(2, 0, 1)
-    return float(distances.digits(distances.estimate_distance(estimates, game)).mean())
+def table(name: str, out: Path) -> None:
+    """Play all seeds of a stage on the suite, and fill the table of ``learned.md`` with their spread."""
+    suite, seeds = get_suite("ptne-v1"), get_policy_spec(f"trained={out}/{name}/seed-*/policy.npz")
+    found = evaluate(seeds, suite.tracks, episodes=suite.episodes)
+    digits = {track.name: found.samples[track.name, seeds.name]["digits"].mean(1) for track in suite.tracks}
+    rows = [[track, f"{means.std(ddof=1):.2f}", f"{len(means)}"] for track, means in digits.items()]
+    filled, document = markdown(["", "±", "seeds"], rows), Path(__file__).with_suffix(".md")
+    text = document.read_text(encoding="utf-8")
+    write_atomically(document, fill_marks(text, "part", "end of part", lambda _: filled))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("command", choices=("train", "table", "limit"))
-    parser.add_argument("name", nargs="?", choices=tuple(RECIPES), default=ALL)
+    parser.add_argument("command", choices=("train", "table"))
+    parser.add_argument("stage", nargs="?", choices=tuple(STAGES), default=TRAINED)
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--out", type=Path, default=Path("runs"))
     given = parser.parse_args()
     if given.command == "train":
-        train(given.name, [int(seed) for seed in given.seeds.split(",")], given.out)
-    elif given.command == "table":
-        table(given.out)
+        train(given.stage, [int(seed) for seed in given.seeds.split(",")], given.out)
     else:
-        print(f"{limit('random-energy-switching'):.2f} digits")
+        table(given.stage, given.out)

@@ -8,19 +8,17 @@ from __future__ import annotations
 
 import argparse
 import csv
-from pathlib import Path
 from typing import Any
 
 import networkx as nx
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from scipy.optimize import brentq
 
+from baselines.published import ROOT
 from ptne_env import record
-from ptne_env.games import CournotMarket
 from ptne_env.shared.style import COLOURS, INK, drawing
 
-ROOT = Path(__file__).parents[1]
 TABLE, PICTURE = ROOT / "ptne_env" / "games" / "market_118.csv", ROOT / "docs" / "images" / "market.png"
 TRACK, LAWS = "ptne-v1/market-118", ("relay", "routed-unknown", "static")
 
@@ -49,11 +47,12 @@ def write_table() -> None:
         writer.writerow(("bus", "quadratic", "linear", "capacity", "neighbours"))
         writer.writerows(rows)
     load = float(case["bus"][:, 2].sum())
-    low, high = 0.0, 1000.0
-    while high - low > 1e-9:
-        price = (low + high) / 2
-        supply = sum(min(max((price - linear) / (2 * quadratic), 0), most) for _, quadratic, linear, most, _ in rows)
-        low, high = (price, high) if supply < load else (low, price)
+
+    def excess(price: float) -> float:
+        supply = (min(max((price - linear) / (2 * quadratic), 0), most) for _, quadratic, linear, most, _ in rows)
+        return sum(supply) - load
+
+    price = brentq(excess, 0, 1000)
     print(f"{len(rows)} generators, load {load:g} MW, price at least cost {price:.2f} $/MWh")
 
 
@@ -61,14 +60,13 @@ def draw_picture() -> None:
     """Draw the price under several laws, and all outputs under the first of them, in the first episode of the track."""
     runs = {law: record(law, TRACK) for law in LAWS}
     run, strategies = runs[LAWS[0]], {law: run.strategies[:, :, 0].T for law, run in runs.items()}
-    market, equilibrium = run.episodes.initial_state(run.rollout.world).game, run.nash_equilibria[:, 0]
-    assert isinstance(market, CournotMarket)  # noqa: S101 - for the types
+    market: Any = run.episodes.initial_state(run.rollout.world).game
+    equilibrium = run.nash_equilibria[:, 0]
     steps = np.arange(len(run.t))
     kinds = {"at capacity": equilibrium == market.high, "stopped": equilibrium == 0}
     kinds["between"] = ~(kinds["at capacity"] | kinds["stopped"])
     with drawing("figures"):
         figure = Figure(figsize=(8, 3.4), dpi=130, layout="constrained")
-        canvas = FigureCanvasAgg(figure)
         left, right = figure.subplots(1, 2)
         for law, colour in zip(LAWS, COLOURS, strict=False):
             price = market.price(strategies[law])
@@ -86,7 +84,7 @@ def draw_picture() -> None:
         right.set(title=f"Outputs in MW under {LAWS[0]}; dots: equilibrium", xlabel="step", xlim=(0, steps[-1] + 3))
         right.set_ylim(top=1.35 * right.get_ylim()[1])  # room for the legend
         right.legend(loc="upper left")
-        canvas.print_png(PICTURE)
+        figure.savefig(PICTURE)
     print(f"written: {PICTURE}; price at the equilibrium {at_rest:.2f} $/MWh")
 
 

@@ -1,7 +1,8 @@
 """Write a page for each family of scenarios: ``python -m baselines.pages`` writes ``docs/scenarios/`` and its pictures.
 
 A family has one game or family of games. Its page shows an episode, the game's docstring, the spaces, the numbers that
-theory asks for, and the digits of the best policies from ``results.csv``.
+theory asks for, and the digits of the best policies from ``results.csv``. It also draws an episode of every track of
+ptne-v1, ``docs/images/tracks.png``.
 """
 
 from __future__ import annotations
@@ -9,12 +10,17 @@ from __future__ import annotations
 import inspect
 from itertools import groupby
 
+from matplotlib.figure import Figure
+
 from baselines.published import ROOT, Published, markdown, read, with_interval
 from ptne_env import CATALOGUE, record
+from ptne_env.envs.rendering import MOST_ESTIMATES
 from ptne_env.evaluation import POLICIES
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.parts import resolve
+from ptne_env.shared.style import drawing, encode
+from ptne_env.suites import get_suite
 from ptne_env.theory import monotonicity_constants
 from ptne_env.world.catalogue import DESCRIPTIONS
 from ptne_env.world.world import World
@@ -22,12 +28,12 @@ from ptne_env.world.world import World
 PAGES = ROOT / "docs" / "scenarios"
 """The folder of the pages."""
 
-PICTURES = PAGES / "images"
+PICTURES, TRACKS = PAGES / "images", ROOT / "docs" / "images" / "tracks.png"
 SUITE, BEST = "comparison", 5
 """The published comparison of scenarios, and the number of policies of it that a page shows."""
 
-SHOWN = "static"
-"""The policy in the pictures."""
+SHOWN, BEST_LAW = "static", "relay"
+"""The policies in the pictures of families and of tracks."""
 
 CONSTANTS = """
 ε and ι are the constants of strong monotonicity and Lipschitz continuity in Assumption 4, with ≈ those of samples. λ2
@@ -116,9 +122,25 @@ def write(numbers: Published) -> None:
         write_atomically(PAGES / f"{family}.md", page(family, names, numbers))
 
 
+def draw_tracks() -> bytes:
+    """The picture of an episode of every track."""
+    tracks, columns = get_suite("ptne-v1").tracks, 3
+    rows = -(-len(tracks) // columns)
+    with drawing("figures"):
+        figure = Figure(figsize=(4 * columns, 3 * rows), layout="constrained")
+        for part, track in zip(figure.subfigures(rows, columns).flat, tracks, strict=False):
+            run = record(BEST_LAW, f"ptne-v1/{track.name}")
+            run.plot(
+                part.subplots(2, sharex=True, height_ratios=[3, 2]), estimates=run.estimates[0].size <= MOST_ESTIMATES
+            )
+            part.suptitle(track.name)
+        return encode(figure, "png", dpi=80)
+
+
 def main() -> None:
-    """Write the pages and draw their pictures."""
+    """Write the pages and draw all pictures."""
     write(read())
+    write_atomically(TRACKS, draw_tracks())
     for family, (first, *_) in families().items():
         record(SHOWN, first).save(PICTURES / f"{family}.png")
 

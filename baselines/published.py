@@ -34,7 +34,7 @@ SEEN, *FRESH = WORLDS = {"robustness": 1, "robustness-2": 2, "robustness-3": 3, 
 FAILED = "failed"
 """The metric that is 1 where a policy raised an error, or answered in another form."""
 
-TRAINED, PPO = "recurrent-random-worlds", "ippo"
+TRAINED, PPO = "recurrent-random-worlds", "ppo"
 SHOWN = (
     *("static", "grounded", "routed-unknown", "relay", PPO, TRAINED),
     *("coded-relay", "coded-network", "oracle"),

@@ -26,8 +26,6 @@ from ptne_env.report.tables import Cell, Column, Table, text_table
 from ptne_env.report.terminal import draw_table
 from ptne_env.shared.files import write_atomically
 
-RESULTS_FILE = "results.json"
-
 CHECKS = (*CLAIMS, *ERRATA)
 """All measurements, in the order of the paper and of docs/errata.md."""
 
@@ -75,10 +73,8 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
 
     Raises:
         ImportError: naming the extra to install when matplotlib is missing.
-        NotADirectoryError: when ``out`` is a file.
+        FileExistsError: when ``out`` is a file.
     """
-    if out.exists() and not out.is_dir():
-        raise NotADirectoryError(f"{out} is a file; name a directory to write the figures to")
     out.mkdir(parents=True, exist_ok=True)
     experiments, total, done = Experiments(), 1 + len(CHECKS) + len(FIGURES), 0
 
@@ -102,7 +98,7 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
     announce("Done")
     reproduction = Reproduction(table, tuple(claims), tuple(figures))
     text = json.dumps(reproduction.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
-    write_atomically(out / RESULTS_FILE, text + "\n")
+    write_atomically(out / "results.json", text + "\n")
     return reproduction
 
 

@@ -8,13 +8,13 @@ that no law is tuned for one world.
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import differential_evolution
 
+from baselines.published import write_rows
 from ptne_env import FactorySpec, PolicySpec
 from ptne_env.evaluation import POLICIES
 from ptne_env.evaluation.comparison import compare
@@ -111,10 +111,7 @@ def main() -> None:
         print(*rows[-1].values(), sep="  ", flush=True)
     if given.law:
         return
-    with OUTPUT.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(OUTPUT, rows, COLUMNS)
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ def bench():
     command = Path(sysconfig.get_path("scripts")) / "ptne"
     listed = subprocess.run([command, "list"], capture_output=True, text=True, check=True).stdout  # noqa: S603
     assert "energy-switching" in listed
-    policy, track = "ippo", "switching-physical"
+    policy, track = "ppo", "switching-physical"
     assert f"{policy}-{track}" in learn.shipped_names()
     results = ptne_env.evaluate(["static", policy], f"ptne-v1/{track}", episodes=3)
     assert results.record(track, policy, "digits")["mean"] > 3

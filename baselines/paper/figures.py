@@ -61,13 +61,11 @@ def draw(spec: FigureSpec, experiments: Experiments) -> bytes:
     share = band / (height + band)
     buffer = io.BytesIO()
     with drawing("figures", {"svg.fonttype": "none"}):
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
         from matplotlib.layout_engine import ConstrainedLayoutEngine
 
         layout = ConstrainedLayoutEngine(rect=(0, share, 1, 1 - share), w_pad=0.09, h_pad=0.07)
         figure = Figure(figsize=(width, height + band), layout=layout)
-        FigureCanvasAgg(figure)
         spec.draw(figure, experiments)
         place = 0.5, 0.08 / (height + band)
         figure.text(*place, "\n".join(lines), ha="center", va="bottom", color=INK, fontsize=8.5)

@@ -60,8 +60,8 @@ def compare(
             help="A policy by name, as static or static(kappa=4), an .npz file, a Stable-Baselines3 .zip, a "
             "'module:object' that is called with the layout and returns something with predict(), or 'name=pattern' "
             "for the files of several training seeds. Separate policies by commas, or repeat the option. If left out: "
-            "every policy that 'ptne list' shows but specialists and those in code; on scenarios, the paper's laws, "
-            "references, the strongest laws and learned policies.",
+            "every policy that 'ptne list' shows but those in code; on scenarios, the paper's laws, references, the "
+            "strongest laws and learned policies.",
             autocompletion=_complete_policy,
         ),
     ] = None,

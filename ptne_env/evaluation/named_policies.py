@@ -11,11 +11,6 @@ from ptne_env.shared.parts import FactorySpec
 part = FactorySpec.of
 
 
-def _recurrent(name: str, where: str) -> tuple[str, FactorySpec]:
-    sentence = f"A network with memory that was trained through the world, {where}."
-    return sentence, DATA.spec(f"recurrent-{name}")
-
-
 _COMPARED = {
     "static": (
         "The paper's static law: down the own cost, and towards the neighbours.",
@@ -48,8 +43,11 @@ _COMPARED = {
     "ppo-random-energy": ("A network that PPO trained on random-energy.", DATA.spec("ppo-random-energy")),
 }
 _OTHERS = {
-    "ippo": ("A network for each track of ptne-v1, which independent PPO trained there.", DATA.spec(f"ippo-{TRACK}")),
-    "recurrent-random-worlds": _recurrent("random-worlds", "in 38 worlds like the tracks, with other numbers"),
+    "ppo": ("A network for each track of ptne-v1, which independent PPO trained there.", DATA.spec(f"ppo-{TRACK}")),
+    "recurrent-random-worlds": (
+        "A network with memory that was trained through the world, in 38 worlds like the tracks, with other numbers.",
+        DATA.spec("recurrent-random-worlds"),
+    ),
     "static-tuned": ("The static law with tuned weights.", part("law:static", kappa=2.2, gradient_gain=2.94)),
     "adaptive-grounded": (
         "Ye and Hu's adaptive law: the grounded law, with gains that every player tunes by itself.",
@@ -79,11 +77,7 @@ _CODED = {
         ("network", "The network recurrent-random-worlds", _OTHERS["recurrent-random-worlds"][1]),
     )
 }
-_SPECIALISTS = {
-    f"recurrent-{name}": _recurrent(name, "in games of this scenario")
-    for name in ("random-energy-switching", "random-energy-switching-transformed")
-}
-TABLE = _COMPARED | _OTHERS | _CODED | _SPECIALISTS
+TABLE = _COMPARED | _OTHERS | _CODED
 """A sentence and the factory spec by name, in the order in which lists show them."""
 
 NO_LAWS = ("zero-input", "random")
@@ -93,7 +87,7 @@ COMPARED = tuple(_COMPARED)
 """The default policies on scenarios: laws of the paper, references, the strongest laws, learned policies."""
 
 ENTERED = (*_COMPARED, *_OTHERS)
-"""The default policies on a suite: all but those in code, and networks of one scenario, which are slow elsewhere."""
+"""The default policies on a suite: all but those in code."""
 
 CODED = tuple(_CODED)
 """The policies that send code. Any policy can wear it, so they are ranked apart, and play where they are named."""

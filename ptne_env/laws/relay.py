@@ -23,8 +23,8 @@ from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_count, require_positive, row_maxima
 
 _SMALLEST = 1e-3
-"""The scale of a problem is the largest own estimate, and at least this share of what the input limit allows in a step:
-a start at 0 is no small problem."""
+"""The scale of a problem is the largest own estimate, and at least a step of Θ along the own gradient: a start at 0 is
+no small problem. But where that is more than this share of what the input limit allows, the share counts."""
 
 _SPREAD = 3.0
 """Standard deviation of the entries of dF before anything is identified, in units of the first gradient per scale."""
@@ -57,9 +57,9 @@ _SIGNAL = 3.0
 _CALMER = 2.0
 """Messages come to rest where σ falls to the last σ over this number, and then they are no noise."""
 
-_NEWS, _LOUDEST = 6.0, 0.3
-"""A copy has news once it moved by more than this many times the noise of the second step, or by more than this share
-of the scale."""
+_LEAST_NEWS, _NEWS, _LOUDEST = 2.0, 6.0, 0.3
+"""A copy has news once it moved by more than ``_LOUDEST`` of the scale, but no less than ``_LEAST_NEWS`` times and no
+more than ``_NEWS`` times the noise of the second step."""
 
 _OUTLIER, _PACE = 4.0, 1.1
 """A difference to the sources above this many running medians is an outlier, as one of 140 of normal noise is; and the
@@ -180,10 +180,11 @@ class Relay(RecordLaw):
         is_own, owners = layout.own_mask[player], layout.neighbour_components[player]
         blocks, estimate = layout.own_components[player], observation.own_estimate
         reach = layout.action_bound * observation.theta
-        scale = np.maximum(largest(estimate), _SMALLEST * reach)
+        step = np.minimum(largest(observation.gradient) * observation.theta, _SMALLEST * reach)
+        scale = np.maximum(largest(estimate), step)
 
         noise = _measure(observation, was.noise, was.steps, owners | is_own[:, None])
-        loudest = np.minimum(_NEWS * noise.first, _LOUDEST * scale)
+        loudest = np.clip(_LOUDEST * scale, _LEAST_NEWS * noise.first, _NEWS * noise.first)
         drifted = np.where(is_own, 0.0, was.asked)
         sources, contacts = find_sources(observation, was.contacts, was.steps > 0, drifted, owners, loudest[:, :, None])
         is_silent = (contacts.news == 0) & (was.steps >= max(self.patience, layout.num_players))

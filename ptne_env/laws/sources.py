@@ -12,9 +12,6 @@ from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, fold, ordere
 _MOVED = 1e-5
 """Relative change of a float32 message above which it has moved, and is not only rounded otherwise."""
 
-_LOUD = 2.0
-"""A move of more than this times the noise, and times any own move, is news although the own copy moves too."""
-
 
 class Contacts(NamedTuple):
     """What R players remember of their contacts."""
@@ -27,14 +24,13 @@ class Contacts(NamedTuple):
     source: FloatArray  # whether the neighbour is a source, a player with a fresher copy, shape (R, D, n)
     votes: FloatArray  # for the neighbour less those against it, shape (R, D, n)
     news: FloatArray  # whether there is news of a component, shape (R, n)
-    most: FloatArray  # the largest own move so far, shape (R, n)
 
 
 def initial_contacts(layout: ObservationLayout) -> Contacts:
     """Return the contacts of one player at the start of an episode."""
     links, slots = np.zeros((1, layout.slots)), np.zeros((1, layout.slots, layout.dimension))
     none = np.zeros((1, layout.dimension))
-    return Contacts(links, links, slots, slots + np.inf, slots, slots, slots, none, none)
+    return Contacts(links, links, slots, slots + np.inf, slots, slots, slots, none)
 
 
 def find_sources(
@@ -51,11 +47,11 @@ def find_sources(
     of component c and the neighbour's copy have moved since the last contact, at the end of which they knew each other.
     If only one copy has moved, it is the fresher copy, and the neighbour gets a vote for it or against it. If both have
     moved, the votes decide; with equal votes, the copy that has moved further is the fresher copy. In the first contact
-    a player that has no news of c takes the neighbour's copy. During a contact, the neighbour takes the place of all
-    sources when its copy moves by more than noise while the own copy rests, or by more than twice the noise, and twice
-    any own move so far, while the own copy moves within noise; unless it repeats the own moves of the step before, or
-    there is a live source and the neighbour's copy moves towards the own copy. As soon as the player has met the owner
-    of a component, the owner is its only source.
+    a player that has no news of c takes the neighbour's copy. During a contact, the neighbour becomes a source when its
+    copy moves by more than noise while no source is live, unless it repeats the own moves of the step before. While a
+    source is live, no move is news: messages that are late, or overtake each other, would let players who copy the
+    player seem fresher, and two who follow each other never hear of the owner again. As soon as the player has met the
+    owner of a component, the owner is its only source.
 
     On a fixed graph whose links may add constants to messages, the sources are the neighbours nearer to the owner.
 
@@ -78,18 +74,13 @@ def find_sources(
     theirs = relative + mine
     theirs -= seen
     i_moved, j_moved = np.abs(mine), np.abs(np.where(met, theirs, 0.0))
-    distance, distance_before = np.abs(relative), np.abs(seen)
-    floor = distance + i_moved
-    floor += distance_before
+    floor = np.abs(relative) + i_moved
+    floor += np.abs(seen)
     floor *= _MOVED
 
     # During a contact.
     source = (was.source > 0) & live
-    wakes = (distance > distance_before) | ~_any_slot(source)
-    loud = floor + _LOUD * np.maximum(noise, was.most[:, None])
-    quiet = np.where(j_moved > loud, floor + noise, floor)  # a copy of noise never rests
-    wakes &= np.abs(drift)[:, None] <= quiet
-    wakes &= j_moved > floor + noise
+    wakes = (j_moved > floor + noise) & ~_any_slot(source)
     wakes &= np.abs(theirs - (was.before + was.moved)) > floor + noise  # else the neighbour copies the own moves
     wakes &= (links & linked)[:, :, None]
 
@@ -120,7 +111,6 @@ def find_sources(
         source=source.astype(np.float64),
         votes=votes,
         news=np.maximum(was.news, _any_slot(source)[:, 0]),
-        most=np.maximum(was.most, np.abs(drift)),
     )
 
 

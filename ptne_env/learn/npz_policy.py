@@ -17,7 +17,7 @@ from ptne_env.learn.recurrent import RecurrentPolicy, check_weights
 from ptne_env.perception.policy import PolicyFileError
 
 LARGEST_UNPACKED = 16 << 20
-"""The largest number of bytes to which a file may unpack; the shipped ones have 30 to 290 kB."""
+"""The largest number of bytes to which a file may unpack; the shipped ones have 30 to 280 kB."""
 
 _DESCRIPTION, _VERSION = "metadata", 6
 

@@ -32,12 +32,6 @@ _FACTORS = {"out": 0.1, "out_bias": 0, "query": 0, "message": 0}
 """Factors that scale initial weights. With an unscaled "out", some networks push inputs to their limits, where they
 learn nothing for long. With another factor of "message", one training seed in five fell behind by 2 digits."""
 
-GIVEN = "knows_costs", "action_repeat"
-"""The entries of the weights that are set and not learned."""
-
-MOST_REPEATS = 100
-"""The largest number of steps for which an action may be held."""
-
 
 class Seen(NamedTuple):
     """What players observe, in natural units.
@@ -80,30 +74,18 @@ def read(layout: ObservationLayout, observations: Any, player: npt.NDArray[np.in
     )
 
 
-def initial_weights(
-    generator: np.random.Generator,
-    hidden: int = 32,
-    slot_hidden: int = 16,
-    knows_costs: bool = True,  # noqa: FBT001, FBT002 - by name
-    action_repeat: int = 1,
-) -> Weights:
+def initial_weights(generator: np.random.Generator, hidden: int = 32, slot_hidden: int = 16) -> Weights:
     """Draw the weights of a network.
 
     Args:
         generator: draws the weights.
         hidden: the number of hidden units per component.
         slot_hidden: the number of hidden units per component of each neighbour.
-        knows_costs: whether the network learns the unit of costs from its worlds. Otherwise its actions do not depend
-            on that unit: it takes the largest gradient so far to be as large as the largest difference so far.
-        action_repeat: the number of steps for which players hold an action.
     """
-    weights = {
+    return {
         name: (generator.normal(size=shape) / math.sqrt(shape[-1]) * _FACTORS.get(name, 1)).astype(np.float32)
         for name, shape in _weight_shapes(hidden, slot_hidden).items()
-        if name not in GIVEN
     }
-    given = zip(GIVEN, (knows_costs, action_repeat), strict=True)
-    return weights | {name: np.full(1, value, dtype=np.float32) for name, value in given}
 
 
 def _weight_shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
@@ -124,7 +106,6 @@ def _weight_shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
         "query": (HEADS, hidden),
         "out_bias": (OUTPUTS, 1),
         "message": (3, slot_hidden, MESSAGE_FEATURES),
-        **dict.fromkeys(GIVEN, (1,)),
     }
 
 
@@ -150,8 +131,8 @@ def run_network(
     xp = array_namespace(seen.gradient)
     watched = Seen(*map(without_gradient, seen))
     held, largest = _estimate_walls(watched, memory), _estimate_magnitudes(watched, memory)
-    is_given = (without_gradient(weights["knows_costs"]) > 0) | (largest.min(0) == 0)
-    unit = xp.where(is_given, 1, largest[0] / xp.where(largest[1] > 0, largest[1], 1)).astype(np.float32)
+    # The unit of costs is no part of what is learned: the largest gradient counts as the largest difference.
+    unit = xp.where(largest.min(0) == 0, 1, largest[0] / xp.where(largest[1] > 0, largest[1], 1)).astype(np.float32)
     scale, nearest, slots, messages, components, players = _compute_features(layout, watched, memory, held, unit)
     hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
     # A neighbour is known by all its messages: on average, and those about the player itself.
@@ -293,8 +274,6 @@ def check_weights(weights: Weights) -> None:
     shapes = _weight_shapes(weights["again"].shape[-1], weights["slot_again"].shape[-1])
     if shapes != {name: each.shape for name, each in weights.items()}:
         raise ValueError("its weights have other shapes")
-    if weights["action_repeat"][0] not in range(1, MOST_REPEATS + 1):
-        raise ValueError(f"it holds actions for no number of steps from 1 to {MOST_REPEATS}")
 
 
 class RecurrentPolicy(RowPolicy):
@@ -342,19 +321,7 @@ class RecurrentPolicy(RowPolicy):
         player = columns[layout.slices["player"]].argmax(0)
         if memory is None:
             memory = initial_memory(self.weights, layout, len(rows))
-            shapes = {"waits": (), "inputs": (layout.dimension,), "gates": (layout.slots, layout.dimension)}
-            memory |= {name: np.zeros((*shape, len(rows)), dtype=np.float32) for name, shape in shapes.items()}
         elif starts.any():
             memory = self.select_rows(starts, {name: np.zeros_like(value) for name, value in memory.items()}, memory)
-        repeat, waits = float(self.weights["action_repeat"][0]), memory["waits"]
-        if not waits.all():
-            # Θ_k and Δt_k/T of the steps for which the action is held.
-            seen = read(layout, columns, player)
-            seen = seen._replace(clock=seen.clock * np.array([[1], [1], [repeat], [repeat]], dtype=np.float32))
-            inputs, after, gates = run_network(self.weights, layout, seen, memory)
-            after |= {"waits": np.full_like(waits, repeat), "inputs": inputs, "gates": gates}
-            if waits.any():  # players whose episodes began at other times
-                after = self.select_rows(waits > 0, memory, after)
-            memory = after
-        memory = memory | {"waits": memory["waits"] - 1}
-        return memory["inputs"].T.copy(), memory
+        inputs, memory, gates = run_network(self.weights, layout, read(layout, columns, player), memory)
+        return inputs.T.copy(), memory | {"gates": gates}

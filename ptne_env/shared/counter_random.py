@@ -8,11 +8,12 @@ The generator is counter-based in the sense of Salmon, Moraes, Dror & Shaw, "Par
 
 from __future__ import annotations
 
-import sys
-from typing import Any, TypeAlias
+import math
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial.polynomial import polyval
 from scipy import special
 
 from ptne_env.shared.arrays import FloatArray, array_namespace, is_numpy
@@ -24,11 +25,16 @@ _GAMMA = np.uint64(0x9E3779B97F4A7C15)
 _FIRST, _SECOND = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _SHIFTS = np.uint64(30), np.uint64(27), np.uint64(31)
 _DROPPED_BITS = np.uint64(12)
-
-
-def special_functions(array: Any) -> Any:
-    """Return ``scipy.special``, or ``jax.scipy.special`` for an array of JAX."""
-    return special if is_numpy(array) else sys.modules["jax"].scipy.special
+# Coefficients of rising powers: of w in :func:`normal_quantiles`, fitted to all of 0 ≤ w ≤ 35.4, and of f² there.
+_ABOVE = (
+    2.506628274636, 1.169489455645, 0.3252459428954, 0.06276286202657, 0.009023557493432, 9.914798400728e-4,
+    8.363416975452e-5, 5.451632329112e-6, 2.905453844051e-7, 8.134204333589e-9, 3.847299632407e-11,
+)  # fmt: skip
+_BELOW = (
+    1.0, 0.2047594026843, 0.06311643337981, 0.008481370111716, 0.001240909370975, 1.034546846365e-4,
+    8.513010413044e-6, 4.567015733063e-7, 2.071277723688e-8, 2.615841179321e-10, 3.101283086926e-13,
+)  # fmt: skip
+_LOGARITHM = tuple(2 / odd for odd in range(1, 16, 2))
 
 
 def mix(values: CounterArray) -> CounterArray:
@@ -67,8 +73,18 @@ def uniforms(keys: CounterArray, counters: CounterArray) -> FloatArray:
     return result
 
 
-def normals(keys: CounterArray, counters: CounterArray) -> FloatArray:
-    """Return N(0, 1) for every key and counter, by inversion; none is larger than 8.3."""
-    numbers = uniforms(keys, counters)
-    result: FloatArray = special_functions(numbers).ndtri(numbers)
-    return result
+def normal_quantiles(numbers: FloatArray) -> FloatArray:
+    """Make N(0, 1) of the U(0, 1) of :func:`uniforms`, by inversion: x with Φ(x) = u; none is larger than 8.3.
+
+    On JAX a formula equal to scipy's to a relative 3e-12, five times as fast as that of ``jax.scipy`` on a CPU: x is
+    u − 1/2 times a smooth function of w = −log(4 u (1 − u)), here a rational one. XLA's logarithm would take most of
+    the time.
+    """
+    if is_numpy(numbers):
+        quantiles: FloatArray = special.ndtri(numbers)
+        return quantiles
+    fraction, exponent = array_namespace(numbers).frexp(4 * numbers * (1 - numbers))
+    m = fraction * math.sqrt(2)  # between √½ and √2, and log m = 2 artanh f
+    f = (m - 1) / (m + 1)
+    w = (0.5 - exponent) * math.log(2) - f * polyval(f * f, _LOGARITHM)
+    return (numbers - 0.5) * (polyval(w, _ABOVE) / polyval(w, _BELOW))

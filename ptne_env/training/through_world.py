@@ -27,15 +27,7 @@ from ptne_env.evaluation.tracks import Track
 from ptne_env.learn import load
 from ptne_env.learn.layers import Weights
 from ptne_env.learn.npz_policy import seal
-from ptne_env.learn.recurrent import (
-    GIVEN,
-    MOST_REPEATS,
-    RecurrentPolicy,
-    initial_memory,
-    initial_weights,
-    read,
-    run_network,
-)
+from ptne_env.learn.recurrent import RecurrentPolicy, initial_memory, initial_weights, read, run_network
 from ptne_env.shared.arrays import require_count, require_positive, require_probability, without_gradient
 from ptne_env.shared.files import write_atomically
 from ptne_env.training.configuration import POLICY, RunSummary, read_finished_run, write_record
@@ -60,9 +52,6 @@ class Settings:
         hidden: the number of units of the network per component.
         slot_hidden: the number of units per component of each neighbour.
         seed: the seed of weights and episodes.
-        knows_costs: whether the network learns the unit of costs; otherwise its actions do not depend on that unit.
-        action_repeat: the number of steps for which an action is held. Training takes steps of that length, which makes
-            windows longer.
         start: the file or name of a recurrent policy from whose weights the run starts; random weights if empty.
 
     Raises:
@@ -79,15 +68,11 @@ class Settings:
     hidden: int = 32
     slot_hidden: int = 16
     seed: int = 0
-    knows_costs: bool = True
-    action_repeat: int = 1
     start: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("updates", "cells", "window", "hidden", "slot_hidden", "action_repeat"):
+        for name in ("updates", "cells", "window", "hidden", "slot_hidden"):
             require_count(name, getattr(self, name), 1)
-        if self.action_repeat > MOST_REPEATS:
-            raise ValueError(f"action_repeat must be at most {MOST_REPEATS}, got {self.action_repeat}")
         require_count("seed", self.seed, 0)
         require_positive("rate", self.rate)
         for name in ("shrink", "memory_shrink"):
@@ -105,8 +90,7 @@ class Lesson:
 
     def __init__(self, track: Track, settings: Settings, key: Any) -> None:
         self._settings = settings
-        steps = math.ceil(track.scenario.steps / settings.action_repeat)
-        self.world = ptne_env.jax.JaxWorld(track.scenario, interface="physical", pool=256, steps=steps)
+        self.world = ptne_env.jax.JaxWorld(track.scenario, interface="physical", pool=256)
         layout = self.world.layout
         self.envs = max(2, round(settings.cells / (layout.num_players * layout.dimension)))
         self.agent_steps = settings.window * self.envs * layout.num_players
@@ -265,15 +249,14 @@ def train(
 
 def _starting_weights(settings: Settings) -> Weights:
     """Return the weights from which a run starts."""
-    generator, sizes = np.random.default_rng(settings.seed), (settings.hidden, settings.slot_hidden)
-    weights = initial_weights(generator, *sizes, settings.knows_costs, settings.action_repeat)
+    sizes = settings.hidden, settings.slot_hidden
     if not settings.start:
-        return weights
+        return initial_weights(np.random.default_rng(settings.seed), *sizes)
     start = _load_recurrent(settings.start)
     its_sizes = start.weights["again"].shape[-1], start.weights["slot_again"].shape[-1]
     if its_sizes != sizes:
         raise ValueError(f"{settings.start} has hidden and slot_hidden of {its_sizes}, but the settings {sizes}")
-    return start.weights | {name: weights[name] for name in GIVEN}
+    return start.weights
 
 
 def _load_recurrent(path_or_name: str | Path) -> RecurrentPolicy:

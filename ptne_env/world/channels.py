@@ -17,10 +17,11 @@ depend on the policy or on the number of environments.
 
 from __future__ import annotations
 
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
@@ -31,6 +32,7 @@ from ptne_env.shared.arrays import (
     FloatArray,
     IntArray,
     array_namespace,
+    is_numpy,
     require_count,
     require_non_negative,
     require_positive,
@@ -38,7 +40,7 @@ from ptne_env.shared.arrays import (
     require_probability,
     round_to_integers,
 )
-from ptne_env.shared.counter_random import CounterArray, special_functions
+from ptne_env.shared.counter_random import CounterArray
 from ptne_env.shared.parts import Part, checked
 
 Memory: TypeAlias = tuple[Any, ...]
@@ -84,13 +86,16 @@ class LinkRandomness(NamedTuple):
 
     def uniforms(self, purpose: int = 0) -> FloatArray:
         """Draw U(0, 1) per directed link, shape (D, N, B); another ``purpose`` gives other numbers."""
-        return counter_random.uniforms(self._base(purpose), self._links()[:, :, None])
+        return self._draw(purpose, self._links())
+
+    def component_uniforms(self, purpose: int = 0) -> FloatArray:
+        """Draw U(0, 1) per component and directed link, shape (D, n, N, B); see :meth:`uniforms`."""
+        components = np.arange(self.owners.size, dtype=np.uint64)
+        return self._draw(purpose, self._links()[:, None, :] * np.uint64(self.owners.size) + components[:, None])
 
     def normals(self, purpose: int = 0) -> FloatArray:
-        """Draw N(0, 1) per component and directed link, shape (D, n, N, B); see :meth:`uniforms`."""
-        components = np.arange(self.owners.size, dtype=np.uint64)
-        numbers = self._links()[:, None, :] * np.uint64(self.owners.size) + components[:, None]
-        return counter_random.normals(self._base(purpose), numbers[..., None])
+        """Draw N(0, 1) per component and directed link, the quantiles of :meth:`component_uniforms`."""
+        return counter_random.normal_quantiles(self.component_uniforms(purpose))
 
     def episode_uniforms(self, count: int, purpose: int = 0) -> FloatArray:
         """Draw U(0, 1), the same in every step of an episode, shape (count, B); see :meth:`uniforms`."""
@@ -102,9 +107,14 @@ class LinkRandomness(NamedTuple):
         players = self.senders.shape[1]
         return (np.arange(players) * players + self.senders).astype(np.uint64)
 
-    def _base(self, purpose: int) -> CounterArray:
-        """A key per environment for this purpose and step, shape (B,)."""
-        return counter_random.words(counter_random.child_keys(self.keys, purpose), self.step.astype(np.uint64))
+    def _draw(self, purpose: int, counters: CounterArray) -> FloatArray:
+        """Draw U(0, 1) for this purpose and step by the counters (D, …) of each slot, shape (D, …, B)."""
+        keys = counter_random.words(counter_random.child_keys(self.keys, purpose), self.step.astype(np.uint64))
+        if is_numpy(keys):
+            return counter_random.uniforms(keys, counters[..., None])
+        # A loop over slots, so that XLA computes the keys before it; otherwise it does so anew for every number.
+        draws: FloatArray = sys.modules["jax"].lax.map(partial(counter_random.uniforms, keys), counters[..., None])
+        return draws
 
 
 class Channel(Part, ABC):
@@ -339,17 +349,16 @@ class Bias(Channel):
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
         if memory:
             (offsets,) = memory
-        else:  # the distribution function of a normal number is uniform
-            normal = randomness.normals()
-            offsets = self.bound * (2 * special_functions(normal).ndtr(normal) - 1)
+        else:
+            offsets = self.bound * (2 * randomness.component_uniforms() - 1)
         return replace(messages, values=messages.values + offsets), (offsets,)
 
 
 class HeavyTails(Channel):
     """Noise with heavy tails on each message: y = v + σ ζ, where ζ has Student's t-distribution of two degrees.
 
-    Its variance is infinite: one of 20 numbers is larger than 4.3, one of a million larger than 1000. With Φ the
-    distribution function of ξ, ζ = (Φ(ξ) − Φ(−ξ)) / √(2 Φ(ξ) Φ(−ξ)).
+    Its variance is infinite: one of 20 numbers is larger than 4.3, one of a million larger than 1000. By inversion,
+    ζ = (2 U − 1) / √(2 U (1 − U)).
 
     Attributes:
         scale: σ ≥ 0, in the units of the strategies.
@@ -358,10 +367,8 @@ class HeavyTails(Channel):
     scale: float = checked(require_non_negative)
 
     def transmit(self, messages: Messages, memory: Memory | None, randomness: LinkRandomness) -> Transmitted:
-        normal = randomness.normals()
-        ndtr = special_functions(normal).ndtr
-        below, above = ndtr(normal), ndtr(-normal)
-        noise = self.scale * (below - above) / array_namespace(normal).sqrt(2 * below * above)
+        unit = randomness.component_uniforms()
+        noise = self.scale * (2 * unit - 1) / array_namespace(unit).sqrt(2 * unit * (1 - unit))
         return replace(messages, values=messages.values + noise), ()
 
 

@@ -312,7 +312,7 @@ def test_a_failing_policy_is_named_with_its_error_and_the_others_go_on(own_modul
 
 
 def test_a_policy_that_cannot_play_a_track_is_in_the_answer_with_its_reason(tmp_path, run):
-    (tmp_path / "mine.npz").write_bytes(shipped_path("ippo-nominal").read_bytes())
+    (tmp_path / "mine.npz").write_bytes(shipped_path("ppo-nominal").read_bytes())
     outcome = run("compare --suite ptne-v1 nominal uneven-box --policy mine.npz,static --episodes 2 --jobs 1")
     assert outcome.code == 0
     words = " ".join(outcome.out.split())

@@ -46,7 +46,7 @@ def test_a_witness_of_own_links_gets_rows_of_one_player(episodes):
 )
 def test_policies_that_ship_pass_the_audit_without_which_a_run_takes_them_on_trust(scenario):
     track, episodes = Track("t", scenario, "A change."), EpisodeSet(5, 0)
-    any_size = [POLICIES[name] for name in POLICIES if name not in ("ippo", "ppo-random-energy")]
+    any_size = [POLICIES[name] for name in POLICIES if name not in ("ppo", "ppo-random-energy")]
     results = {policy.name: Job(track, policy, 0, episodes).compute(audits=True) for policy in any_size}
     assert {name: result.failure for name, result in results.items() if result.failure} == {}
     assert not any(result.not_applicable for result in results.values())

@@ -71,7 +71,7 @@ def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch)
 
 def test_a_policy_may_have_one_file_per_track(tmp_path):
     name, other = "random-energy", "random-energy-switching"
-    for scenario, shipped in ((name, "ppo-random-energy"), ("energy", "ippo-nominal")):
+    for scenario, shipped in ((name, "ppo-random-energy"), ("energy", "ppo-nominal")):
         (tmp_path / f"{scenario}.npz").write_bytes(shipped_path(shipped).read_bytes())
     several = get_policy_spec(f"mine={tmp_path}/{{track}}.npz")
     assert PolicySpec.from_dict(several.to_dict()) == several

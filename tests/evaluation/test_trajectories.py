@@ -39,7 +39,7 @@ def trained(steps=32):
     [
         ("static", NOISY),
         ("adaptive-grounded", get_scenario("energy", hold_steps=5, steps=30)),
-        ("recurrent-random-energy-switching", NOISY),
+        ("recurrent-random-worlds", NOISY),
         (trained, TEAM.scenario),
         ("static", TEAM),
     ],

@@ -17,7 +17,7 @@ from ptne_env.execution import Workers
 ray = pytest.importorskip("ray")
 pytestmark = pytest.mark.filterwarnings("default")  # Ray's own
 
-TRACKS, POLICIES = ("nominal", "switching-physical"), ("grounded", "adaptive", "ippo")
+TRACKS, POLICIES = ("nominal", "switching-physical"), ("grounded", "adaptive", "ppo")
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 import pytest
 from fuzz import KINDS, UNPLAYABLE, a_scenario, fitting, no_warnings
+from scipy import special
 from worlds import DEGREE, DIRECTED, FAULTY, OWN_COST, channel_part, every_field, with_field
 
 import ptne_env.jax
@@ -18,6 +19,7 @@ from ptne_env import CATALOGUE
 from ptne_env.games import AffineGame, CostGame, SaturatingGame
 from ptne_env.perception.encoder import Encoder
 from ptne_env.perception.fields import FIELDS
+from ptne_env.shared import counter_random
 from ptne_env.shared.parts import PARTS
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.suites import get_suite
@@ -111,6 +113,13 @@ def test_a_scenario_is_the_same_on_jax(name):
 @pytest.mark.parametrize("name", ["random-energy-switching", "non-quadratic", "ptne-v1/uneven-box", "faulty"])
 def test_a_scenario_is_the_same_on_jax_with_all_optimisations(name):
     compare(SCENARIOS[name], "physical", options=OPTIMISED)
+
+
+def test_normal_numbers_are_the_same_on_jax_in_the_middle_and_to_the_ends_of_both_tails():
+    tail = np.append(2.0 ** -np.linspace(1, 53, 5001), np.linspace(0.001, 0.5, 5001))  # 2^−53 is the smallest drawn
+    numbers = np.append(tail, 1 - tail)
+    found = jax.jit(counter_random.normal_quantiles)(jax.numpy.asarray(numbers))
+    np.testing.assert_allclose(found, special.ndtri(numbers), rtol=3e-12)
 
 
 def a_startable_scenario(rng, **names):

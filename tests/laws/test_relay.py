@@ -316,6 +316,24 @@ def test_late_copies_are_no_news_under_noise():
     assert distances_to_owners(noisy).max() < 0.1
 
 
+def test_messages_that_overtake_each_other_part_no_player_from_the_owners():
+    """A message that is late says what the neighbour's copy was before, as if it moved again."""
+    game = FactorySpec.of("game:random-affine", players=8, scale=0.1, low=-0.1, high=0.1)
+    ring, delay = FactorySpec.of("topology:cycle", players=8), FactorySpec.of("channel:delay", steps=0, longest=10)
+    start = FactorySpec.of("start:uniform", low=-400.0, high=400.0)
+    late = RANDOM.replace(game=game, topology=ring, start=start, channel=delay, steps=400, input_limit=1e5)
+    assert distances_to_owners(late).max() < 0.1
+
+
+def test_large_inputs_do_not_make_a_small_problem_large():
+    """Own estimates are much smaller than the equilibria, and these than what inputs may do in a step."""
+    target = FactorySpec.of("game:random-energy", target=[-1e-5, 1e-5], base_price=0.0)
+    small = RANDOM.replace(game=target, start=FactorySpec.of("start:uniform", low=-1e-7, high=1e-7))
+    world, encoder = world_and_encoder(small)
+    states = run(world, encoder, laws.Relay(encoder.layout), begin(world, range(4)))
+    assert np.abs(states).max() < 1e-4
+
+
 def test_slow_moves_add_up_to_news():
     """Inputs are so limited that no step moves a copy by more than noise."""
     slow = RANDOM.replace(name="slow", deadline=0.3, input_limit=4.0, channel=channel_part("AdditiveNoise", std=0.02))

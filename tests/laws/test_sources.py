@@ -23,7 +23,7 @@ def known(slots=1, live=0.0, moved=0.0, seen=0.0, before=0.0, source=0.0, votes=
     each = [
         np.broadcast_to(np.reshape(part, (1, -1, 1)), (1, slots, 1)) for part in (moved, seen, before, source, votes)
     ]
-    return Contacts(live * links, links, *each, np.full((1, 1), news), np.zeros((1, 1)))
+    return Contacts(live * links, links, *each, np.full((1, 1), news))
 
 
 def judge(sight, was, noise=0.0):
@@ -64,9 +64,9 @@ def test_the_copy_that_moved_is_the_fresher_one(moves, memory, expected):
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "source", "wakes"), [(0.0, 1.0, 1.0, True), (1.0, 0.5, 1.0, False), (1.0, 0.5, 0.0, True)]
+    ("before", "after", "source", "wakes"), [(0.0, 1.0, 1.0, False), (1.0, 0.5, 1.0, False), (1.0, 0.5, 0.0, True)]
 )
-def test_a_neighbour_on_its_way_to_the_own_copy_does_not_replace_a_source(before, after, source, wakes):
+def test_no_neighbour_replaces_a_live_source_during_a_contact(before, after, source, wakes):
     was = known(slots=2, live=1.0, seen=[0.0, before], source=[source, 0.0])
     assert judge(Sight([0.0, after]), was)[0][0, 1, 0] == wakes
 
