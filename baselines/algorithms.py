@@ -1,11 +1,11 @@
 """The algorithms of reinforcement learning, trained on every track: ``python -m baselines.algorithms COMMAND``.
 
-    tune [ALGORITHM]...     20 settings of each algorithm, for 5 M agent-steps on two tracks, beside the defaults
-    train [ALGORITHM]...    the defaults with five seeds on every track of ptne-v1, for 20 M agent-steps, or for 50 M
-                            where the last fifth of those gained 0.05 digits or more
+    tune [ALGORITHM]...     other settings of each algorithm beside the defaults, for fewer agent-steps on two tracks
+    train [ALGORITHM]...    the defaults with several seeds on every track of ptne-v1; PPO for 20 M agent-steps, or for
+                            50 M where the last fifth of those gained 0.05 digits or more, and SAC for 2 M
     publish                 play what was trained on the test episodes, and replace its rows in ``algorithms.csv``, its
-                            learning curves in ``curves.csv``, and the files of ``ppo`` by those seeds of all algorithms
-                            that have more digits on validation episodes; then draw the picture
+                            learning curves in ``curves.csv``, and the files of ``ppo`` by those seeds of PPO that
+                            have more digits on validation episodes; then draw the picture
 
 Every run has a folder in ``--out``, and one core; a run that has ended is not repeated.
 """
@@ -20,6 +20,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
 from time import process_time
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -49,26 +50,21 @@ from ptne_env.training import TRAINERS, VALIDATION_EPISODES
 from ptne_env.training.configuration import POLICY, Configuration
 from ptne_env.training.curve import FLAT, last_gain, read_learning_curve
 
-ALGORITHMS = tuple(name for name, trainer in TRAINERS.items() if trainer.module == "jax_ppo")
 TRACKS = tuple(track.name for track in get_suite("ptne-v1").tracks)
 TUNED_ON = ("switching-transformed", "curved")
 """The tracks on whose validation episodes settings are chosen: noisy links that come and go, and curvature."""
 
-TRIALS, TRIAL_STEPS = 20, 5_000_000
-SEEDS = range(5)
-BUDGETS = 20_000_000, 50_000_000
-"""The agent-steps of a run, and of one on a track where those do not suffice."""
-
 PICTURE = ROOT / "docs" / "images" / "algorithms.png"
 CURVES, CURVE_COLUMNS = TRAININGS.with_name("curves.csv"), ("track", "policy", "seed", "minutes", "digits")
 
-Run = tuple[str, str, Path, dict[str, float]]
+Settings = dict[str, Any]
+Run = tuple[str, str, Path, Settings]
 """A track, an algorithm, the folder, and the settings that are not the defaults."""
 
 
-def candidates() -> list[dict[str, float]]:
-    """The settings that are tried beside the defaults: a Latin hypercube, the same for every algorithm."""
-    rate, horizon, log_std, batches, epochs = qmc.LatinHypercube(5, rng=0).random(TRIALS).T
+def candidates(count: int) -> list[Settings]:
+    """Settings of PPO that are tried beside the defaults: a Latin hypercube."""
+    rate, horizon, log_std, batches, epochs = qmc.LatinHypercube(5, rng=0).random(count).T
     return [
         {
             "learning_rate": float(f"{10 ** (-3.3 + 1.3 * rate[i]):.2g}"),
@@ -77,15 +73,54 @@ def candidates() -> list[dict[str, float]]:
             "minibatches": int(2 ** (3 + int(4 * batches[i]))),
             "epochs": 1 + int(3 * epochs[i]),
         }
-        for i in range(TRIALS)
+        for i in range(count)
     ]
 
 
-def train_one(track: str, algorithm: str, out: Path, settings: dict[str, float]) -> float:
+class Plan(NamedTuple):
+    """How an algorithm is trained.
+
+    Attributes:
+        budgets: the agent-steps of a run, and of one on a track where those do not suffice.
+        seeds: the seeds on every track.
+        trial_steps: the agent-steps of a trial.
+        trials: the settings that are tried beside the defaults.
+        ships: whether its seeds may become the files of ``ppo``.
+    """
+
+    budgets: tuple[int, ...]
+    seeds: range
+    trial_steps: int
+    trials: Sequence[Settings]
+    ships: bool
+
+
+_PPO = Plan((20_000_000, 50_000_000), range(5), 5_000_000, candidates(20), ships=True)
+_SAC_TRIALS = (
+    {"log_std": -2.4},
+    {"log_std": -3.4},
+    {"discount": 0.5},
+    {"hidden": (128, 128)},
+    {"log_std": -2.4, "discount": 0.5},
+    {"log_std": -2.4, "discount": 0.9},
+    {"log_std": -2.4, "learning_rate": 3e-4},
+    {"log_std": -2.4, "minibatches": 1, "epochs": 12},
+)
+PLANS = {
+    **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), _PPO),
+    "sb3-sac": Plan((2_000_000,), range(2), 400_000, _SAC_TRIALS, ships=False),
+}
+"""The algorithms that are trained."""
+
+ALGORITHMS = tuple(PLANS)
+
+
+def train_one(track: str, algorithm: str, out: Path, settings: Settings) -> float:
     """Train in this process, write down the seconds of its core, and return the digits on validation episodes."""
     began, record = process_time(), out / "core-seconds.json"
-    configuration = Configuration(f"ptne-v1/{track}", algorithm, **settings)  # type: ignore[arg-type]  # by name
-    summary = TRAINERS[algorithm].load().train(configuration, out)
+    trainer = TRAINERS[algorithm]
+    configuration = Configuration(f"ptne-v1/{track}", algorithm, **{**trainer.defaults, **settings})
+    summary = trainer.load().train(configuration, out)
     if not record.exists():  # a resumed run counts what its last part took, as if all parts were as fast
         share = 1 - summary.resumed_at / summary.agent_steps
         record.write_text(json.dumps((process_time() - began) / share))
@@ -102,9 +137,10 @@ def train_all(runs: Sequence[Run], jobs: int) -> list[float]:
 
 def tune(algorithm: str, out: Path, jobs: int) -> None:
     """Try the settings of an algorithm, and print them and their digits, the best first."""
-    trials = [{}, *candidates()]
+    plan = PLANS[algorithm]
+    trials = [{}, *plan.trials]
     runs = [
-        (track, algorithm, out / "tune" / algorithm / track / str(index), {"steps": TRIAL_STEPS, **trial})
+        (track, algorithm, out / "tune" / algorithm / track / str(index), {"steps": plan.trial_steps, **trial})
         for index, trial in enumerate(trials)
         for track in TUNED_ON
     ]
@@ -124,28 +160,27 @@ def gain(folder: Path) -> float:
 
 
 def train(algorithms: Sequence[str], out: Path, jobs: int) -> None:
-    """Train the seeds of algorithms on all tracks: seed 0 tells where the small budget does not do, or all five."""
-    for seeds in (SEEDS[:1], SEEDS, SEEDS):
-        budgets = {
-            (track, algorithm): BUDGETS[gain(folder_of(algorithm, track, BUDGETS[0], out)) >= FLAT]
-            for algorithm in algorithms
-            for track in TRACKS
-        }
-        shortest_first = sorted(budgets.items(), key=lambda item: item[1])
+    """Train the seeds of algorithms on all tracks: seed 0 tells where the small budget does not do, or all of them."""
+    for last in (1, None, None):
         runs: list[Run] = []
-        for seed in seeds:
-            for (track, algorithm), steps in shortest_first:
-                folder = folder_of(algorithm, track, steps, out) / f"seed-{seed}"
-                runs.append((track, algorithm, folder, {"steps": steps, "seed": seed}))
-        train_all(runs, jobs)
+        for algorithm in algorithms:
+            plan = PLANS[algorithm]
+            for track in TRACKS:
+                is_flat = gain(folder_of(algorithm, track, plan.budgets[0], out)) < FLAT
+                steps = plan.budgets[0 if is_flat else -1]
+                for seed in plan.seeds[:last]:
+                    folder = folder_of(algorithm, track, steps, out) / f"seed-{seed}"
+                    runs.append((track, algorithm, folder, {"steps": steps, "seed": seed}))
+        train_all(sorted(runs, key=lambda run: (run[3]["seed"], run[3]["steps"])), jobs)
 
 
 def trained(out: Path) -> Iterator[tuple[str, str, Path]]:
     """The tracks and algorithms of which all seeds have ended, and the folder of the longest training."""
     for track in TRACKS:
         for algorithm in ALGORITHMS:
-            folders = [folder_of(algorithm, track, steps, out) for steps in reversed(BUDGETS)]
-            ended = [folder for folder in folders if len([*folder.glob("seed-*/summary.json")]) == len(SEEDS)]
+            plan = PLANS[algorithm]
+            folders = [folder_of(algorithm, track, steps, out) for steps in reversed(plan.budgets)]
+            ended = [folder for folder in folders if len([*folder.glob("seed-*/summary.json")]) == len(plan.seeds)]
             yield from ((track, algorithm, folder) for folder in ended[:1])
 
 
@@ -224,7 +259,7 @@ def draw(curves: Sequence[Row]) -> None:
                 axes.axhline(mean_of(numbers, "ptne-v1", track, policy), color=INK, linestyle=style, linewidth=1)
                 legend[label] = axes.get_lines()[-1]
             for color, algorithm in zip(COLOURS, ALGORITHMS, strict=False):
-                for seed in SEEDS:
+                for seed in PLANS[algorithm].seeds:
                     here = [row for row in curves if (row["track"], row["policy"]) == (track, algorithm)]
                     points = [(row["minutes"], row["digits"]) for row in here if row["seed"] == str(seed)]
                     axes.plot(*np.reshape(points, (-1, 2)).astype(float).T, color=color, linewidth=0.8)
@@ -256,7 +291,8 @@ def publish(out: Path, jobs: int) -> None:
     for track, algorithm, folder in trained(out):
         rows += rows_of(track, algorithm, folder, runner)
         curves += curves_of(track, algorithm, folder)
-        ship(track, folder)
+        if PLANS[algorithm].ships:
+            ship(track, folder)
     merge(TRAININGS, COLUMNS, rows)
     draw(merge(CURVES, CURVE_COLUMNS, curves))
 

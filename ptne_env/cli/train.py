@@ -1,4 +1,4 @@
-"""``ptne train``: train a policy with PPO on JAX, with that of Stable-Baselines3, or through the world."""
+"""``ptne train``: train a policy with PPO on JAX, with PPO or SAC of Stable-Baselines3, or through the world."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from ptne_env import training
 from ptne_env.cli import options
 from ptne_env.cli.app import app
 from ptne_env.cli.console import check_writable, progress, say, write_json
-from ptne_env.evaluation import METRICS
 from ptne_env.evaluation.comparison import LAW
 from ptne_env.evaluation.tracks import find_track
 from ptne_env.shared.names import require_name
@@ -35,7 +34,8 @@ def train(
         str,
         typer.Option(
             help="ippo (independent PPO), ippo-rnn (with a recurrent unit), mappo-rnn (its critic sees the state), "
-            "sb3-ppo (that of Stable-Baselines3), or through-world (by gradients through the world).",
+            "sb3-ppo and sb3-sac (PPO and SAC of Stable-Baselines3), or through-world (by gradients through the "
+            "world).",
             autocompletion=lambda: list(training.TRAINERS),
         ),
     ] = "ippo",
@@ -65,7 +65,7 @@ def train(
         typer.Option(
             min=1,
             help="Number of agent-steps, or of updates of the weights through the world.",
-            show_default="20 million agent-steps, or 800 updates",
+            show_default="20 million agent-steps, 2 million with sb3-sac, or 800 updates",
         ),
     ] = None,
     json: options.JsonOption = None,
@@ -77,15 +77,15 @@ def train(
     Says how many digits the last fifth of the training gained, draws the learning curve, learning-curve.png, beside the
     digits of the paper's law and of the best law, and prints the command that compares the policy.
 
-    The same command resumes an interrupted run from its last checkpoint. With sb3-ppo and through the world, its policy
-    differs from that of an uninterrupted run.
+    The same command resumes an interrupted run from its last checkpoint. With Stable-Baselines3 and through the world,
+    its policy differs from that of an uninterrupted run.
     """
     from ptne_env.training.configuration import POLICY, Configuration, read_finished_run
     from ptne_env.training.curve import draw, evaluate_laws
 
     trainer = training.TRAINERS[require_name("algorithm", algorithm, training.TRAINERS)]
     kind = trainer.load().Settings if algorithm == "through-world" else partial(Configuration, algorithm=algorithm)
-    values = options.read_changes(changes)
+    values = {**trainer.defaults, **options.read_changes(changes)}
     settings = [name for name in signature(kind).parameters if name not in ("scenario", "algorithm", "seed")]
     for name in values:
         require_name("setting", name, settings, "say --seed, --algorithm or SCENARIO for those")
@@ -117,7 +117,6 @@ def train(
         picture,
         title=f"Training of {scenario}",
         steps=max(summary.agent_steps for summary in summaries.values()),
-        metric=trainer.metric,
         laws=laws,
     )
     say(f"Learning curve written to {picture}")
@@ -134,7 +133,7 @@ def _train(runs: Mapping[Path, Run], trainer: training.Trainer) -> dict[Path, Ru
 
             def show(done: int, total: int, digits: float, seed: int = configuration.seed) -> None:
                 place = "training" if len(runs) == 1 else f"training seed {seed}"
-                now = f"{place}, {digits:.2f} {METRICS[trainer.metric].label}" if digits > float("-inf") else place
+                now = f"{place}, {digits:.2f} digits" if digits > float("-inf") else place
                 advance(now, len(summaries) * total + min(done, total), len(runs) * total)
 
             summaries[folder] = train_one(configuration, folder, show)

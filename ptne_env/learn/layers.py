@@ -1,7 +1,8 @@
 """Networks of layers, feed-forward or with a gated recurrent unit, for numpy and JAX; numpy plays them.
 
-PPO trains them, on JAX (:mod:`ptne_env.training.jax_ppo`) or of Stable-Baselines3 (:mod:`ptne_env.training.ppo`). The
-first axis of an array holds F features, the last one M players, those of all environments.
+PPO trains them, on JAX (:mod:`ptne_env.training.jax_ppo`), or PPO and SAC of Stable-Baselines3
+(:mod:`ptne_env.training.sb3`). The first axis of an array holds F features, the last one M players, those of all
+environments.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from ptne_env.perception.observation import Interface
 from ptne_env.perception.policy import RowPolicy
-from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, is_numpy, require_count
+from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, is_numpy, require_count, require_flag
 
 Weights = dict[str, Any]
 """The weights of a network by name; float32 arrays of numpy or JAX."""
@@ -40,6 +41,7 @@ class Metadata:
         slots: D, the number of neighbour slots per player.
         training: how it was trained, such as scenario, agent-steps, seed and versions; nothing depends on it.
         activation: the function of its hidden layers, one of :data:`ACTIVATIONS`.
+        is_squashed: whether the outputs become actions by the hyperbolic tangent, as SAC's do; they are clipped if not.
         layout_version: the version of the meaning of observations and actions.
 
     Raises:
@@ -51,6 +53,7 @@ class Metadata:
     slots: int
     training: Mapping[str, Any]
     activation: str = "relu"
+    is_squashed: bool = False
     layout_version: int = LAYOUT_VERSION
 
     def __post_init__(self) -> None:
@@ -59,6 +62,7 @@ class Metadata:
             require_count("action_dims", dim, 1)
         if self.activation not in ACTIVATIONS:
             raise ValueError(f"activation must be {' or '.join(ACTIVATIONS)}, got {self.activation!r}")
+        require_flag("is_squashed", self.is_squashed)
         if self.layout_version != LAYOUT_VERSION:
             raise ValueError(
                 f"the policy was made for layout version {self.layout_version}, this library has {LAYOUT_VERSION}; "
@@ -180,4 +184,4 @@ class LayeredPolicy(RowPolicy):
         elif starts.any() and memory is not None:
             memory = np.where(starts, np.float32(0), memory)
         actions, memory = run_layers(self.weights, np.ascontiguousarray(rows.T), memory, self.metadata.activation)
-        return np.clip(actions.T, -1, 1), memory
+        return (np.tanh(actions) if self.metadata.is_squashed else np.clip(actions, -1, 1)).T, memory

@@ -28,6 +28,9 @@ POLICY = "policy.npz"
 class Configuration:
     """The definition of a training run. Agent-steps count every player of every environment.
 
+    The defaults are those of PPO; :data:`~ptne_env.training.TRAINERS` has others of ``sb3-sac``, whose minibatches come
+    from all that it remembers instead of from the last rollout.
+
     Attributes:
         scenario: the name of a scenario, of a track such as ``"ptne-v1/liar"``, or ``"module:object"``.
         algorithm: one of :data:`ALGORITHMS`.
@@ -35,10 +38,12 @@ class Configuration:
         batch: the number of agent-steps between updates; as many environments are stepped together as make them.
         rollout: the number of steps of every environment between updates.
         minibatches: the number of minibatches per epoch.
-        epochs: the number of passes over a rollout.
-        learning_rate: the learning rate at the start; it falls to 0 at the end, along a cosine.
-        discount: γ of PPO, in [0, 1]. Digits are counted undiscounted, over the whole horizon.
-        log_std: the initial logarithm of the actions' standard deviation, at most 0.
+        epochs: the number of passes over a rollout; of SAC, how often it learns from an agent-step on average.
+        learning_rate: the learning rate at the start; it falls to 0 at the end, along a cosine, or with
+            Stable-Baselines3 along a line.
+        discount: γ, in [0, 1]. Digits are counted undiscounted, over the whole horizon.
+        log_std: the initial logarithm of the actions' standard deviation, at most 0; of SAC, that of normal actions of
+            the entropy at which it aims throughout.
         hidden: the number of units of each layer, of actor and critic alike; the last one has the memory, if any.
         seed: the seed of the network, the sampling and the training games.
 

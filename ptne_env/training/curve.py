@@ -21,6 +21,9 @@ from ptne_env.training import VALIDATION_EPISODES
 from ptne_env.training.configuration import POLICY, RunSummary, write_record
 from ptne_env.world.scenario import Scenario
 
+CURVE_EPISODES = 50
+"""The validation episodes of each evaluation of a learning curve."""
+
 FLAT = 0.05
 """A training is flat when its last fifth gained fewer digits."""
 
@@ -57,15 +60,23 @@ def finish(out: Path, content: bytes, world: Scenario | Track, steps: int, resum
         ValueError: when the policy fails on a validation episode.
     """
     seconds = monotonic() - began
-    policy = PolicySpec("trained", open_policy(Path(POLICY), content))
-    results = evaluate([policy], [world], episodes=VALIDATION_EPISODES, split="validation")
-    for reason in results.failures.values():
-        raise ValueError(f"the trained policy fails on {world.name!r}: {reason}")
-    digits = float(np.mean(results.samples[world.name, "trained"]["digits"]))
-    summary = RunSummary(steps, resumed_at, seconds, digits)
+    digits = validate(PolicySpec("trained", open_policy(Path(POLICY), content)), world, VALIDATION_EPISODES)
+    summary = RunSummary(steps, resumed_at, seconds, float(digits.mean()))
     write_atomically(out / POLICY, content)
     write_record(out / "summary.json", summary)
     return summary
+
+
+def validate(policy: PolicySpec, world: Scenario | Track, episodes: int) -> FloatArray:
+    """Return the digits of a policy on each of some validation episodes.
+
+    Raises:
+        ValueError: when it fails on one of them.
+    """
+    results = evaluate([policy], [world], episodes=episodes, split="validation")
+    for reason in results.failures.values():
+        raise ValueError(f"the trained policy fails on {world.name!r}: {reason}")
+    return results.samples[world.name, policy.name]["digits"][0]
 
 
 def evaluate_laws(world: Scenario | Track, episodes: int = 20) -> Results:
@@ -74,11 +85,10 @@ def evaluate_laws(world: Scenario | Track, episodes: int = 20) -> Results:
     return evaluate(laws, [world], episodes=episodes, split="validation")
 
 
-def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, metric: str, laws: Results) -> None:
+def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, laws: Results) -> None:
     """Draw the learning curves of runs, from their folders by name, the paper's law and the best law into a PNG file.
 
-    The axis ends at ``steps`` agent-steps, unless a curve goes on. The curves show ``metric``, which is ``"digits"`` or
-    ``"digits_gained"``, and the lines that of :func:`evaluate_laws`.
+    The axis ends at ``steps`` agent-steps, unless a curve goes on. The lines show the laws of :func:`evaluate_laws`.
 
     Raises:
         ImportError: when matplotlib is missing, naming the extra to install.
@@ -94,9 +104,9 @@ def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, metric
             axes.plot(*curve, color=COLOURS[index % len(COLOURS)], marker="o", label=name, clip_on=False)
             steps = max(steps, *curve[0].astype(int))
         for (name, kind), style in zip(leaders(laws).items(), ("--", ":"), strict=False):
-            record = laws.record(laws.tracks[0].name, name, metric)
+            record = laws.record(laws.tracks[0].name, name, "digits")
             axes.axhline(record["mean"], color=INK, linestyle=style, linewidth=1, label=f"{name} ({kind})")
-        axes.set(title=title, xlabel="agent-steps", ylabel=f"{METRICS[metric].label}, without exploration")
+        axes.set(title=title, xlabel="agent-steps", ylabel=f"{METRICS['digits'].label}, without exploration")
         axes.set_xlim(0, steps)
         axes.xaxis.set_major_formatter("{x:,.0f}")
         axes.locator_params(axis="x", nbins=5)  # else labels of millions overlap

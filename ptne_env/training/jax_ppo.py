@@ -43,12 +43,12 @@ from ptne_env.training.configuration import (
     write_checkpoint,
     write_record,
 )
-from ptne_env.training.curve import finish, write_learning_curve
+from ptne_env.training.curve import CURVE_EPISODES, finish, write_learning_curve
 from ptne_env.training.team import Team
 from ptne_env.world.dynamics import State
 
-EVALUATIONS, EPISODES = 20, 50
-"""The number of evaluations, and of checkpoints, in a run; and the validation episodes of each."""
+EVALUATIONS = 20
+"""The number of evaluations, and of checkpoints, in a run."""
 
 CLIP, GAE_LAMBDA, VALUE_WEIGHT, LARGEST_NORM = 0.2, 0.9, 0.5, 0.5
 """What is not tuned: ε, λ, the weight of the value's loss, and the norm to which gradients are cut."""
@@ -117,7 +117,9 @@ class Learner:
         total = self.chunks * self.updates_per_chunk * configuration.epochs * configuration.minibatches
         rate = optax.cosine_decay_schedule(configuration.learning_rate, total)
         self.optimiser = optax.chain(optax.clip_by_global_norm(LARGEST_NORM), optax.adam(rate, eps=1e-5))
-        self.validation = self.world.state(EpisodeSet(EPISODES, split="validation").initial_state(self.world.numpy))
+        self.validation = self.world.state(
+            EpisodeSet(CURVE_EPISODES, split="validation").initial_state(self.world.numpy)
+        )
         self.start, self.evaluate = jax.jit(self._start), jax.jit(self._evaluate)
         self.train_chunk = jax.jit(lambda runner: jax.lax.scan(self._update, runner, length=self.updates_per_chunk)[0])
 
@@ -256,7 +258,7 @@ class Learner:
             return (self._act(state, actions), memory), None
 
         units = self.configuration.hidden[-1]
-        first = self.validation, jnp.zeros((units, len(self.players) * EPISODES), jnp.float32)
+        first = self.validation, jnp.zeros((units, len(self.players) * CURVE_EPISODES), jnp.float32)
         (state, _), _ = jax.lax.scan(step, first, length=self.world.numpy.clock.total_steps)
         return self.world.digits(state)
 
@@ -310,7 +312,7 @@ def _replay(weights: Weights, observations: Any, memory: Any, starts: Any) -> tu
 def train(
     configuration: Configuration, out: Path, progress: Callable[[int, int, float], None] | None = None
 ) -> RunSummary:
-    """Train, as :func:`ptne_env.training.ppo.train` does and with its arguments; 64-bit numbers of JAX are switched on.
+    """Train, as :func:`ptne_env.training.sb3.train` does and with its arguments; 64-bit numbers of JAX are switched on.
 
     Raises:
         ValueError: for values that do not fit each other, for an unknown scenario, when ``out`` holds a run with
@@ -323,7 +325,7 @@ def train(
     began = monotonic()
     learner = Learner(configuration)
     leaves, structure = jax.tree.flatten(learner.start())
-    curve, *leaves = read_checkpoint(checkpoint, [np.empty((0, EPISODES)), *leaves])
+    curve, *leaves = read_checkpoint(checkpoint, [np.empty((0, CURVE_EPISODES)), *leaves])
     runner = jax.tree.unflatten(structure, map(jnp.asarray, leaves))
     write_record(out / "configuration.json", configuration)
     chunk = learner.updates_per_chunk * configuration.rollout * learner.members

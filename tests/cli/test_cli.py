@@ -475,7 +475,8 @@ def test_escape_sequences_of_names_and_errors_are_spelled_out(run, tmp_path):
     ("algorithm", "module", "told"),
     [
         ("ippo", "jax_ppo", ""),
-        ("sb3-ppo", "ppo", "1000 agent-steps"),
+        ("sb3-ppo", "sb3", "1000 agent-steps"),
+        ("sb3-sac", "sb3", "1000 agent-steps"),
         ("through-world", "through_world", "1000 updates"),
     ],
 )
@@ -495,6 +496,25 @@ def test_a_resumed_run_that_nobody_can_repeat_is_named(run, monkeypatch, algorit
     assert "1.00 digits on " in printed
     assert ("The run was resumed at" in printed) == bool(told)
     assert told in printed
+
+
+def test_an_algorithm_has_settings_of_its_own_which_may_be_changed(run, monkeypatch):
+    need_sb3()
+    need_matplotlib()
+    from ptne_env.training import TRAINERS, sb3
+
+    seen = []
+
+    def train(configuration, out, progress):
+        seen.append(vars(configuration))
+        raise ValueError("it has seen enough")
+
+    monkeypatch.setattr(sb3, "train", train)
+    for words in ("", " --steps 10 --set epochs=3"):
+        assert "it has seen enough" in run(f"train energy --algorithm sb3-sac{words}").err
+    first, second = seen
+    assert first.items() >= TRAINERS["sb3-sac"].defaults.items()
+    assert second == first | {"steps": 10, "epochs": 3}
 
 
 def test_a_training_says_whether_its_last_fifth_still_gained(run, monkeypatch):

@@ -27,15 +27,16 @@ def layout():
 
 
 @pytest.mark.parametrize(("activation", "function"), [("relu", lambda x: np.maximum(x, 0)), ("tanh", np.tanh)])
-def test_a_policy_acts_in_the_environment_of_its_layout(tmp_path, layout, activation, function):
-    policy = learn.load(write(tmp_path / "mine.npz", activation=activation), layout)
+@pytest.mark.parametrize(("is_squashed", "bound"), [(False, lambda x: np.clip(x, -1, 1)), (True, np.tanh)])
+def test_a_policy_acts_in_the_environment_of_its_layout(tmp_path, layout, activation, function, is_squashed, bound):
+    policy = learn.load(write(tmp_path / "mine.npz", activation=activation, is_squashed=is_squashed), layout)
     assert isinstance(policy, ptne_env.Policy)
     assert policy.name == "mine"
     rows = 5 * np.random.default_rng(0).normal(size=(7, layout.size)).astype(np.float32)
     actions, state = policy.predict(rows, state="memory")
     first, first_bias, out, out_bias = layered().values()
     expected = out @ function(first @ rows.T + first_bias) + out_bias
-    np.testing.assert_allclose(actions, np.clip(expected.T, -1, 1), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(actions, bound(expected.T), rtol=1e-5, atol=1e-6)
     assert state == "memory"
     single, _ = policy.predict(rows[3])
     np.testing.assert_array_equal(single, actions[3])
@@ -111,6 +112,7 @@ FOREIGN = {
     "a text for a number": (layered_with(slots="2"), "slots must be"),
     "a list for an interface": (layered_with(interface=["scaled"]), ""),
     "another function": (layered_with(activation="elu"), "activation must be relu or tanh, got 'elu'"),
+    "a text for a flag": (layered_with(is_squashed="no"), "is_squashed must be True or False"),
     "another layout version": (
         layered_with(layout_version=99),
         "layout version 99, this library has 1; use the version of ptne_env that made it",
