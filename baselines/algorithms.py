@@ -41,14 +41,15 @@ from baselines.published import (
     write_rows,
 )
 from ptne_env import learn
-from ptne_env.evaluation import evaluate, get_policy_spec
+from ptne_env.evaluation import PolicySpec, evaluate, get_policy_spec
+from ptne_env.evaluation.tracks import find_track
 from ptne_env.execution import Runner, Workers
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.style import COLOURS, INK, drawing, encode
 from ptne_env.suites import get_suite
 from ptne_env.training import TRAINERS, VALIDATION_EPISODES
 from ptne_env.training.configuration import POLICY, Configuration
-from ptne_env.training.curve import FLAT, last_gain, read_learning_curve
+from ptne_env.training.curve import FLAT, last_gain, read_learning_curve, validate
 
 TRACKS = tuple(track.name for track in get_suite("ptne-v1").tracks)
 TUNED_ON = ("switching-transformed", "curved")
@@ -210,9 +211,8 @@ def ship(track: str, folder: Path) -> None:
     best, path = max(digits, key=digits.__getitem__), Path(learn.__file__).parent / f"{PPO}-{track}.npz"
     shipped = -np.inf
     if path.exists():
-        name = f"ptne-v1/{track}"
-        results = evaluate(str(path), name, episodes=VALIDATION_EPISODES, split="validation")
-        shipped = float(np.mean(results.samples[name, path.stem]["digits"]))
+        policy = PolicySpec("shipped", learn.load(path))  # on the episodes that the seeds were validated on
+        shipped = float(validate(policy, find_track(f"ptne-v1/{track}"), VALIDATION_EPISODES).mean())
     if digits[best] > shipped:
         write_atomically(path, (best / POLICY).read_bytes())
     print(f"{path.name}: {shipped:.2f}, {best}: {digits[best]:.2f}")
