@@ -51,7 +51,7 @@ core:
 	$(VENV)-core/bin/pip install --quiet --disable-pip-version-check --editable . hypothesis pytest
 	$(VENV)-core/bin/pytest $(CORE)
 
-# Run the suites and train the policies again, and write every table of README, docs and baselines.
+# Run the suites again, and write every table of README, docs and baselines.
 publish: $(VENV)/.test
 	$(BIN)/python -m baselines.publish
 
