@@ -165,10 +165,7 @@ LAST_WORLDS = (
 
 
 def drawn(seed: int, *kinds: str, most_steps: int = 700) -> tuple[Track, ...]:
-    """Random worlds of at most nine players, of some kinds, and of another seed than those of the suites.
-
-    None has heavy tails: XLA needs minutes to compile their draws for two environments.
-    """
+    """Random worlds without heavy tails of at most nine players, of some kinds and another seed than the suites."""
     return tuple(
         replace(track, name=f"drawn-{seed}-{track.name}")
         for track in robustness(seed).tracks
