@@ -131,8 +131,10 @@ def run_network(
     xp = array_namespace(seen.gradient)
     watched = Seen(*map(without_gradient, seen))
     held, largest = _estimate_walls(watched, memory), _estimate_magnitudes(watched, memory)
-    # The unit of costs is no part of what is learned: the largest gradient counts as the largest difference.
-    unit = xp.where(largest.min(0) == 0, 1, largest[0] / xp.where(largest[1] > 0, largest[1], 1)).astype(np.float32)
+    # The unit of costs is no part of what is learned: the largest gradient counts as the largest difference. It is not
+    # known from a gradient that is 0 but for rounding, whose quotient is beyond float32.
+    is_known = (largest[0] > 0) & (largest[1] > 1e-30 * largest[0])
+    unit = xp.where(is_known, largest[0] / xp.where(is_known, largest[1], 1), 1).astype(np.float32)
     scale, nearest, slots, messages, components, players = _compute_features(layout, watched, memory, held, unit)
     hidden, slot_hidden, live = memory["hidden"], memory["slot_hidden"], seen.live[:, None]
     # A neighbour is known by all its messages: on average, and those about the player itself.

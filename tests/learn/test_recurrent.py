@@ -10,6 +10,7 @@ import ptne_env
 from ptne_env import learn
 from ptne_env.learn import npz_policy, recurrent
 from ptne_env.perception.observation import LayoutError
+from ptne_env.shared.parts import FactorySpec
 from ptne_env.suites import get_suite
 
 CONTENT = npz_policy.seal(WEIGHTS, {"seed": 0})
@@ -61,6 +62,16 @@ def test_actions_do_not_depend_on_the_unit_of_costs():
         observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
     agreed, _ = env.reset(options={"estimates": np.zeros((5, 5))})
     assert policy.predict(np.stack(list(agreed.values())))[0].any()  # though there is no length to compare with
+
+
+def test_a_gradient_that_is_0_but_for_rounding_does_not_set_the_unit_of_costs():
+    """The gradient of the first player vanishes at the start, and is about 1e-39 one step later."""
+    game = FactorySpec.of("game:quadratic", matrix=[[2.0, 1.0], [1.0, 2.0]], offset=[0.0, -3.0])
+    start, path = FactorySpec.of("start:fixed", estimates=np.zeros((2, 2))), FactorySpec.of("topology:path", players=2)
+    scenario = ptne_env.get_scenario("random-energy", game=game, start=start, topology=path)
+    results = ptne_env.evaluate(["recurrent-random-worlds"], scenario, episodes=1)
+    assert not results.failures
+    assert results.record(scenario.name, "recurrent-random-worlds", "digits")["mean"] == 12
 
 
 def test_a_neighbour_is_known_by_all_that_it_says():
