@@ -73,8 +73,10 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
 
     Raises:
         ImportError: naming the extra to install when matplotlib is missing.
-        FileExistsError: when ``out`` is a file.
+        NotADirectoryError: when ``out`` is a file.
     """
+    if out.exists() and not out.is_dir():
+        raise NotADirectoryError(f"{out} is a file; name a directory to write the figures to")
     out.mkdir(parents=True, exist_ok=True)
     experiments, total, done = Experiments(), 1 + len(CHECKS) + len(FIGURES), 0
 

@@ -57,7 +57,7 @@ def test_figures_are_the_same_in_every_run(experiments):
 def test_existing_file_is_refused_as_directory(tmp_path):
     target = tmp_path / "file"
     target.write_text("kept")
-    with pytest.raises(FileExistsError, match="file"):
+    with pytest.raises(NotADirectoryError, match="name a directory"):
         reproduce(target)
     assert target.read_text() == "kept"
 
