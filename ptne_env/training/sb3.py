@@ -33,6 +33,7 @@ from ptne_env.learn.layers import LAYERS, Metadata, Weights
 from ptne_env.learn.npz_policy import open_policy, seal
 from ptne_env.learn.sb3_archive import as_trained
 from ptne_env.perception.observation import ObservationLayout
+from ptne_env.shared.arrays import FloatArray
 from ptne_env.shared.files import require_file
 from ptne_env.training import defaults
 from ptne_env.training.configuration import POLICY, Configuration, RunSummary, read_finished_run, write_record
@@ -79,16 +80,17 @@ def train(configuration: Configuration, out: Path, progress: Progress | None = N
     samples = configuration.rollout * env.num_envs
     rollouts = -(-configuration.steps // samples)  # the last one is a whole one
     calls = -(-rollouts * configuration.rollout // EVALUATIONS)  # steps of all environments together
-    steps, digits = list[int](), [np.array(-np.inf)]
+    steps, digits = list[int](), list[FloatArray]()
 
     def report(*_: Any) -> bool:
         done = model.num_timesteps - resumed_at
         if done % (calls * env.num_envs) == 0:
             steps.append(model.num_timesteps)
             digits.append(validate(PolicySpec("trained", model), scenario, CURVE_EPISODES))
-            write_learning_curve(out, steps, digits[1:])
+            write_learning_curve(out, steps, digits)
         if progress is not None and done % samples == 0:
-            progress(model.num_timesteps, configuration.steps, float(digits[-1].mean()))
+            latest = float(digits[-1].mean()) if digits else -math.inf
+            progress(model.num_timesteps, configuration.steps, latest)
         return True
 
     callbacks = [CheckpointCallback(calls, str(checkpoints)), ConvertCallback(report)]
