@@ -64,7 +64,12 @@ TRACKS = (
         ),
         channel=_noisy(0.3),
     ),
-    _track("rounding", "Messages are rounded to multiples of 0.5.", channel=part("channel:rounding", width=0.5)),
+    _track(
+        "rounding",
+        "Messages are rounded to multiples of 0.5: a check of code, without which nobody gets beyond the resolution.",
+        scored=False,
+        channel=part("channel:rounding", width=0.5),
+    ),
     _track(
         "liar",
         "One player adds a constant of up to 20 to all that it says of other players.",

@@ -1,7 +1,7 @@
 """Attacks on the suite: laws that gain digits from the channel and not from the game, and a table of what they gain.
 
-``python tests/execution/attacks.py [EPISODES]`` prints, for every scored track, digits at T and their mean over the
-second half of the steps: those of relay, and what the attacks gain over it.
+``python tests/execution/attacks.py [EPISODES]`` prints, for every track but nominal, digits at T and their mean over
+the second half of the steps: those of relay, and what the attacks gain over it.
 """
 
 import sys
@@ -189,7 +189,7 @@ def main(episodes):
     print("| track | room | relay | loud | coder | coder that fills the range | residuals |")
     print("| --- " + "| ---: " * 6 + "|")
     for track in get_suite("ptne-v1").tracks:
-        if track.scored:
+        if track.scenario.message_range:
             count, name = min(episodes, track.episodes or episodes), track.name
             base = played(track, Relay, count).mean(axis=1)
             cells = [f"{room(track, count):.2f}", "{:.2f} / {:.2f}".format(*base)]

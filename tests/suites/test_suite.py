@@ -117,9 +117,9 @@ def test_a_reference_policy_that_fails_ends_the_run(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "track", [track for track in get_suite("ptne-v1").tracks if track.scored], ids=lambda t: t.name
+    "track", [track for track in get_suite("ptne-v1").tracks if track.name != "nominal"], ids=lambda t: t.name
 )
-def test_links_of_scored_tracks_have_a_range_and_noise_that_drowns_low_order_bits(track):
+def test_links_of_tracks_have_a_range_and_noise_that_drowns_low_order_bits(track):
     state = get_suite("ptne-v1").episode_set(track.name, 100).initial_state(track.world)
     largest = max(np.abs(state.estimates).max(), np.abs(state.game.nash_equilibria).max())
     assert 3 <= track.scenario.message_range / largest <= 5.01
