@@ -114,8 +114,8 @@ def run(out: Path, episodes: int | None, workers: Workers) -> Path:
     suite = run_suite("ptne-v1", entered, episodes=episodes, run=runner)
     worlds = [run_suite(robustness(seed), entered, episodes=episodes, run=runner) for seed in WORLDS.values()]
     rows = [row for results in (compared, suite) for row in rows_of(results)]
-    edges = run_suite(edge_cases.SUITE, entered, episodes=episodes, run=runner)
-    rows += [row for results in (*worlds, edges) for row in rows_of_worlds(results)]
+    worlds += [run_suite(suite, entered, episodes=episodes, run=runner) for suite in edge_cases.SUITES]
+    rows += [row for results in worlds for row in rows_of_worlds(results)]
     path = RESULTS if episodes is None else out / RESULTS.name
     write_rows(path, rows)
     write_atomically(out / "results.json", suite.to_json())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable, Iterable, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import get_args
 
@@ -73,8 +74,11 @@ def interval_of(statistic: Summary | Record) -> Row:
 
 def write_rows(path: Path, rows: Iterable[Row], columns: Sequence[str] = COLUMNS) -> None:
     """Write rows in columns, those of ``results.csv`` if left out."""
-    lines = [columns, *([row.get(key, "") for key in columns] for row in rows)]
-    write_atomically(path, "".join(f"{','.join(line)}\n" for line in lines))
+    text = StringIO()
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_atomically(path, text.getvalue())
 
 
 class Published:
@@ -265,9 +269,9 @@ def failed_worlds(numbers: Published) -> str:
     return markdown(["world", *SHOWN_ON_WORLDS, "best"], rows)
 
 
-def edges(numbers: Published) -> str:
-    """The digits of all policies in the edge cases."""
-    names, suite = numbers.names("track", "edge-cases"), "edge-cases"
+def by_policy(numbers: Published, suite: str) -> str:
+    """A row per policy and a column per track."""
+    names = numbers.names("track", suite)
     rows = [
         [POLICIES[policy].label, *(plain(numbers.cell(suite, name, policy)) for name in names)]
         for policy in numbers.names("policy", suite)
@@ -310,7 +314,8 @@ TABLES: dict[str, Callable[[Published], str]] = {
     "robustness-seen": lambda numbers: shortfalls(numbers, [SEEN]),
     "robustness-fresh": lambda numbers: shortfalls(numbers, FRESH),
     "robustness-failures": failed_worlds,
-    "edge-cases": edges,
+    "edge-cases": lambda numbers: by_policy(numbers, "edge-cases"),
+    "directed-graphs": lambda numbers: by_policy(numbers, "directed-graphs"),
     "algorithms": algorithms,
     "catalogue": lambda numbers: by_track(numbers, "comparison", SHOWN_ON_SCENARIOS),
     "catalogue-all": lambda numbers: all_policies(numbers, "comparison"),

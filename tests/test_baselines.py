@@ -9,23 +9,21 @@ import pytest
 import release_check
 from scipy import stats
 
-from baselines import algorithms, directed, edge_cases, pages, publish, published, ranking, tune
-from ptne_env import CATALOGUE, evaluate, learn, theory
+from baselines import algorithms, edge_cases, pages, publish, published, ranking, tune
+from ptne_env import CATALOGUE, evaluate, learn
 from ptne_env.evaluation import CODED, ENTERED, POLICIES, EpisodeSet
 from ptne_env.evaluation.comparison import Job
 from ptne_env.evaluation.tracks import compared_tracks
 from ptne_env.execution import Runner
-from ptne_env.perception.encoder import Encoder
 from ptne_env.suites import get_suite, leaderboard, run_suite
 from ptne_env.suites.robustness import robustness
 from ptne_env.training.configuration import RunSummary, write_record
 from ptne_env.training.curve import write_learning_curve
-from ptne_env.world.world import World
 
 EPISODES = 20
 """The first of the published episodes, at most."""
 
-SUITES = {suite.name: suite for suite in (get_suite("ptne-v1"), edge_cases.SUITE)} | {
+SUITES = {suite.name: suite for suite in (get_suite("ptne-v1"), *edge_cases.SUITES)} | {
     name: robustness(seed) for name, seed in published.WORLDS.items()
 }
 
@@ -210,16 +208,3 @@ def test_one_principal_component_explains_tracks_that_rank_alike_and_not_others(
     alike = np.outer(generator.normal(size=8), [1.0, 2.0, 5.0])
     assert ranking.principal_share(alike) == pytest.approx(1)
     assert ranking.principal_share(np.linalg.qr(generator.normal(size=(8, 3)))[0]) < 0.6
-
-
-def test_the_balanced_law_gives_all_own_gradients_the_same_influence_on_the_mean():
-    """qᵀ M = (1/N) dF with qᵀ L = 0 and Σ q_i = 1, whatever the graph: the weighted mean of estimates moves alike."""
-    graph = directed.random_graph(5, seed=1)
-    assert graph.is_directed
-    assert graph.adjacency.sum(axis=1) == pytest.approx(2)
-    world = World(CATALOGUE["energy"].replace(topology=graph))
-    law = directed.Balanced(Encoder(world, directed.Balanced.interface).layout, graph)
-    values, vectors = np.linalg.eig(graph.laplacian.T)
-    left = vectors[:, np.abs(values).argmin()].real
-    mean = np.einsum("i,icn->cn", left / left.sum(), theory.law_matrix(law, world.game, graph).reshape(5, 5, 25))
-    np.testing.assert_allclose(mean.reshape(5, 5, 5).sum(axis=1), world.game.jacobian(np.zeros((5, 1)))[..., 0] / 5)
