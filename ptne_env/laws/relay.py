@@ -82,7 +82,7 @@ class Noise(NamedTuple):
     total: FloatArray  # of the changes of messages in this window, shape (R, 1)
     number: FloatArray  # of these changes, shape (R, 1)
     level: FloatArray  # σ, their mean in the last full window, shape (R, 1)
-    first: FloatArray  # the change of messages in the second step, shape (R, 1)
+    second: FloatArray  # the change of messages in the second step, shape (R, 1)
     since: FloatArray  # k, the steps in which messages have not come to rest, shape (R, 1)
 
 
@@ -96,12 +96,12 @@ class RelayMemory(NamedTuple):
     asked: FloatArray  # the displacement that was asked for, shape (R, n)
     share: FloatArray  # e, of the damping, shape (R, 1)
     direction: FloatArray  # v, the mean direction of the responses, shape (R, m)
-    first: FloatArray  # F, the steps before there was news of every component, or so far, from 2 to 4 N, shape (R, 1)
+    unheard: FloatArray  # F, the steps before there was news of every component, or so far, from 2 to 4 N, shape (R, 1)
     delay: FloatArray  # T, shape (R, 1)
     trail: FloatArray  # q, own moves, of which a delay forgets all but 1/e, shape (R, n)
     behind: FloatArray  # the sum of (x_i − neighbours' copies of it)·q, shape (R, 1)
     passed: FloatArray  # the sum of (the last own move)·q over the same steps and links, shape (R, 1)
-    size: FloatArray  # the running median of |differences to the sources|, 0 before the first one, shape (R, n)
+    median: FloatArray  # the running median of |differences to the sources|, 0 before the first one, shape (R, n)
     outlier: FloatArray  # the sign of the last difference if it was an outlier, and else 0, shape (R, n)
 
 
@@ -167,12 +167,12 @@ class Relay(RecordLaw):
         self.patience = require_count("patience", patience, 1)
         self.forgetting = require_positive("forgetting", forgetting)
         none, own = np.zeros((1, 1)), np.zeros((1, layout.dimension))
-        messages, first = np.zeros((1, layout.slots, layout.dimension)), np.zeros((1, max(layout.action_dims)))
+        messages, response = np.zeros((1, layout.slots, layout.dimension)), np.zeros((1, max(layout.action_dims)))
         noise = Noise(messages, messages, messages[:, :, 0], none, none, none, none, none)
         contacts, model = initial_contacts(layout), initial_model(layout)
         delay = none + _SHORTEST
         self.start = RelayMemory(
-            none, contacts, noise, model, own, none + 1, first, delay, delay, own, none, none, own, own
+            none, contacts, noise, model, own, none + 1, response, delay, delay, own, none, none, own, own
         )
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -180,11 +180,11 @@ class Relay(RecordLaw):
         is_own, owners = layout.own_mask[player], layout.neighbour_components[player]
         blocks, estimate = layout.own_components[player], observation.own_estimate
         reach = layout.action_bound * observation.theta
-        step = np.minimum(largest(observation.gradient) * observation.theta, _SMALLEST * reach)
-        scale = np.maximum(largest(estimate), step)
+        descent = np.minimum(largest(observation.gradient) * observation.theta, _SMALLEST * reach)
+        scale = np.maximum(largest(estimate), descent)
 
         noise = _measure(observation, was.noise, was.steps, owners | is_own[:, None])
-        loudest = np.clip(_LOUDEST * scale, _LEAST_NEWS * noise.first, _NEWS * noise.first)
+        loudest = np.clip(_LOUDEST * scale, _LEAST_NEWS * noise.second, _NEWS * noise.second)
         drifted = np.where(is_own, 0.0, was.asked)
         sources, contacts = find_sources(observation, was.contacts, was.steps > 0, drifted, owners, loudest[:, :, None])
         is_silent = (contacts.news == 0) & (was.steps >= max(self.patience, layout.num_players))
@@ -192,8 +192,8 @@ class Relay(RecordLaw):
         sources |= is_silent[:, None] & live
         is_probe = was.steps < blocks.shape[1]
         mean = np.where(is_own | is_probe, 0.0, mean_difference(observation, sources))
-        is_noisy = (noise.first > _NOISY * scale) & (was.steps > 2)
-        mean, size, outlier = _drop_outliers(mean, was.size, was.outlier, is_noisy)
+        is_noisy = (noise.second > _NOISY * scale) & (was.steps > 2)
+        mean, median, outlier = _drop_outliers(mean, was.median, was.outlier, is_noisy)
         noise, weight = self._weigh(noise, mean, was.steps)
         before, smallest = was.model.estimate, np.maximum(_RESOLVED * scale, loudest)
         repeats = live & sources & (np.abs(noise.last - before[:, None]) <= smallest[:, :, None])
@@ -206,11 +206,11 @@ class Relay(RecordLaw):
         asked, moved = own_entries(was.asked, blocks), own_entries(estimate - was.model.estimate, blocks)
         held = (np.abs(moved) < _HELD * np.abs(asked)) & (np.abs(asked) > _RESOLVED * scale)
         longest = _LONGEST * layout.num_players
-        was_unheard = ((was.contacts.news == 0) & ~is_own).any(axis=1, keepdims=True)
-        first = np.where(was_unheard, np.clip(was.steps, _SHORTEST, longest), was.first)
+        lacks_news = ((was.contacts.news == 0) & ~is_own).any(axis=1, keepdims=True)
+        unheard = np.where(lacks_news, np.clip(was.steps, _SHORTEST, longest), was.unheard)
         own_moves = np.where(is_own & (was.steps > 0), estimate - before, 0.0)
         lag, trail, behind, passed = _measure_lag(observation, was, own_moves)
-        delay = np.minimum(first + lag - 1, longest)
+        delay = np.minimum(unheard + lag - 1, longest)
         wanted = _respond(model, drift, blocks, is_own, held, delay, was.share)
         response = shorten(wanted, model.radius)
         response = np.where(is_probe & (np.arange(blocks.shape[1]) != was.steps), 0.0, response)
@@ -218,8 +218,8 @@ class Relay(RecordLaw):
         asked = clip_to_reach(displacement, observation, layout)
         is_whole = (own_entries(asked, blocks) == wanted).all(axis=1, keepdims=True)
         share, direction = _adapt(was, wanted, is_whole, delay)
-        known = was.steps + 1, contacts, noise, model, asked, share, direction, first, delay, trail, behind, passed
-        return per_step(displacement, observation), self.pack(RelayMemory(*known, size, outlier))
+        known = was.steps + 1, contacts, noise, model, asked, share, direction, unheard, delay, trail, behind, passed
+        return per_step(displacement, observation), self.pack(RelayMemory(*known, median, outlier))
 
     def _weigh(self, noise: Noise, mean: FloatArray, steps: FloatArray) -> tuple[Noise, FloatArray]:
         """Return the noise after the differences (R, n) to the sources, and the weight w of copies, shape (R, 1)."""
@@ -255,25 +255,25 @@ def _measure(observation: Observation, was: Noise, steps: FloatArray, owned: Boo
         total=was.total + largest_change,
         number=was.number + is_known,
         level=np.where(is_second, largest_change, was.level),
-        first=np.where(is_second, largest_change, was.first),
+        second=np.where(is_second, largest_change, was.second),
     )
 
 
 def _drop_outliers(
-    mean: FloatArray, size: FloatArray, outlier: FloatArray, is_noisy: BoolArray
+    mean: FloatArray, median: FloatArray, outlier: FloatArray, is_noisy: BoolArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the differences (R, n) to the sources without outliers, and the new ``size`` and ``outlier``.
+    """Return the differences (R, n) to the sources without outliers, and the new ``median`` and ``outlier``.
 
     A second outlier of the same sign is news, and then the running median is what makes it none.
     """
     found, heard = np.abs(mean), mean != 0
-    is_loud = is_noisy & (size > 0) & (found > _OUTLIER * size)
+    is_loud = is_noisy & (median > 0) & (found > _OUTLIER * median)
     is_news = is_loud & (outlier * mean > 0)
-    median = np.where(found > size, size * _PACE, size / _PACE)
-    median = np.where(is_news, found / _OUTLIER, np.where(size > 0, median, found))
+    paced = np.where(found > median, median * _PACE, median / _PACE)
+    paced = np.where(is_news, found / _OUTLIER, np.where(median > 0, paced, found))
     signs = np.where(is_loud, np.sign(mean), 0.0)
     kept = np.where(is_loud & ~is_news, 0.0, mean)
-    return kept, np.where(heard, median, size), np.where(heard, signs, outlier)
+    return kept, np.where(heard, paced, median), np.where(heard, signs, outlier)
 
 
 def _measure_lag(observation: Observation, was: RelayMemory, moves: FloatArray) -> tuple[FloatArray, ...]:
@@ -283,7 +283,7 @@ def _measure_lag(observation: Observation, was: RelayMemory, moves: FloatArray) 
     by the trail, on which noise does not depend. The other arrays are the trail and the two sums.
     """
     trail = (1 - 1 / was.delay) * was.trail + moves
-    counts = (observation.weights > 0) & (was.steps > 2 * was.first)  # until then neighbours may not know of any move
+    counts = (observation.weights > 0) & (was.steps > 2 * was.unheard)  # until then neighbours may not know of any move
     ahead = np.where(counts[:, :, None], -observation.relative_estimates, 0.0)
     behind = was.behind + np.einsum("rdn,rn->r", ahead, trail)[:, None]
     passed = was.passed + counts.sum(axis=1, keepdims=True) * np.einsum("rn,rn->r", moves, trail)[:, None]
@@ -295,9 +295,9 @@ def _adapt(
     was: RelayMemory, response: FloatArray, is_whole: BoolArray, delay: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the share of the damping (R, 1), and the mean direction after a ``response`` (R, m) if it ``is_whole``."""
-    size = largest(response)
-    counts = is_whole & (size > 0)
-    heading = response / np.where(counts, size, 1.0)
+    length = largest(response)
+    counts = is_whole & (length > 0)
+    heading = response / np.where(counts, length, 1.0)
     direction = np.where(counts, was.direction + (heading - was.direction) / (_WINDOW * delay), was.direction)
     share = was.share * np.exp(_RATE * (_STEADY - largest(direction)) / delay)
     return np.where(counts, np.clip(share, _LEAST, 1.0), was.share), direction
