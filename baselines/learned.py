@@ -1,7 +1,7 @@
 """The network for all tracks that was trained through the world: its worlds, its training, and ``learned.md``.
 
-    python -m baselines.learned train STAGE [--seeds 0,1,2,3,4] [--out runs]   train a stage; resumes what is unfinished
-    python -m baselines.learned table STAGE [--out runs]                       play all seeds, and fill ``learned.md``
+    python -m baselines.learned train [--seeds 0,1,2,3,4] [--out runs]   train; resumes what is unfinished
+    python -m baselines.learned table [--out runs]                       play all seeds, and fill ``learned.md``
 
 No world of a suite is trained on: sizes, numbers and fault levels of these worlds are others, and the worlds of the
 suite ``robustness`` are drawn from another seed.
@@ -18,7 +18,6 @@ from baselines.published import TRAINED, fill_marks, markdown
 from ptne_env import evaluate, get_scenario, learn
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.evaluation.tracks import Teammates, Track
-from ptne_env.learn import npz_policy
 from ptne_env.shared.files import write_atomically
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.suites import get_suite
@@ -70,6 +69,10 @@ def _dozen(name: str, offsets: tuple[int, ...], **changes: Any) -> Track:
 
 
 WORLDS = (
+    _world("stranger-of-five", 5, kappa=0.3, channel=_noisy(0.008)),
+    _world("stranger-of-seven", 7, kappa=0.5, channel=_noisy(0.015), topology=_graphs(7, 0.35)),
+    _dozen("wide", (1, 3), game=part("game:random-affine", players=12, action_dim=(3,) * 12)),
+    _dozen("wide-ring", (1,), game=part("game:random-affine", players=12, action_dim=(4,) * 12)),
     _world("clean", 4, channel="perfect", message_range=None),
     _world("cycle-physical", 6, topology=_cycle(6, 3, 0.09), channel=_noisy(0.002)),
     _world("cycle-of-four", 4, topology=_cycle(4, 2, 0.13), channel=_noisy(0.001)),
@@ -143,16 +146,8 @@ WORLDS = (
 )
 """Like tracks of the suite, with other numbers."""
 
-LATER_WORLDS = (
-    _world("stranger-of-five", 5, kappa=0.3, channel=_noisy(0.008)),
-    _world("stranger-of-seven", 7, kappa=0.5, channel=_noisy(0.015), topology=_graphs(7, 0.35)),
-    _dozen("wide", (1, 3), game=part("game:random-affine", players=12, action_dim=(3,) * 12)),
-    _dozen("wide-ring", (1,), game=part("game:random-affine", players=12, action_dim=(4,) * 12)),
-)
-"""Those that the first stage does not see."""
-
 EXACT = {"gain": 4.0, "steps": 200, "channel": "perfect", "message_range": None}
-LAST_WORLDS = (
+HARDER_WORLDS = (
     _world("ring-of-24", 24, topology=part("topology:cycle", players=24), **EXACT),
     _world("path-of-16", 16, topology=part("topology:path", players=16), **EXACT),
     _world("ring-of-16", 16, topology=part("topology:cycle", players=16), **EXACT | {"channel": _noisy(0.0003)}),
@@ -161,7 +156,7 @@ LAST_WORLDS = (
     _world("delayed", 5, channel=part("channel:delay", steps=0, longest=9), topology=_graphs(5, 0.4)),
     _world("delayed-ring", 8, channel=part("channel:delay", steps=4), topology=part("topology:cycle", players=8)),
 )
-"""Long ways, heavy loss and long delays, which the last stage alone sees."""
+"""Long ways, heavy loss and long delays."""
 
 
 def drawn(seed: int, *kinds: str, most_steps: int = 700) -> tuple[Track, ...]:
@@ -176,60 +171,40 @@ def drawn(seed: int, *kinds: str, most_steps: int = 700) -> tuple[Track, ...]:
     )
 
 
-def worlds_of(stage: int) -> tuple[Track, ...]:
-    """The worlds of a stage; each sees those of the stages before."""
-    worlds = LATER_WORLDS * (stage > 0) + WORLDS + drawn(77, most_steps=500)[:6]
-    if stage < 3:
-        return worlds
+def worlds() -> tuple[Track, ...]:
+    """The worlds of the training."""
     rotating = [track for seed in (77, 78, 79) for track in drawn(seed, "rotating")]
     others = [track for track in drawn(78, "a perfect channel", "complements") if "rotating" not in track.change]
-    return worlds + LAST_WORLDS + (*rotating, *others[:10])
+    return (*WORLDS, *drawn(77, most_steps=500)[:6], *HARDER_WORLDS, *rotating, *others[:10])
 
 
-SHARED = {"hidden": 48, "slot_hidden": 24, "cells": 100}
-STAGES: dict[str, dict[str, Any]] = {
-    f"{TRAINED}-first": SHARED | {"updates": 1200},
-    f"{TRAINED}-second": SHARED | {"updates": 220},
-    f"{TRAINED}-third": SHARED | {"updates": 120, "rate": 1.5e-3},
-    TRAINED: SHARED | {"updates": 160, "rate": 1.5e-3},
-}
-"""Settings of the stages, of which each goes on from seed 0 of the one before."""
+SETTINGS = {"updates": 2600, "groups": 4, "cells": 100, "hidden": 48, "slot_hidden": 24}
+"""Those of :class:`ptne_env.training.through_world.Settings` that are not the defaults."""
 
 
-def train(name: str, seeds: list[int], out: Path) -> None:
-    """Train a stage with several seeds; the best of the last stage in training replaces the shipped file.
-
-    That file has the mean of its weights and those from which the stage started, which plays better than both.
-    """
+def train(seeds: list[int], out: Path) -> None:
+    """Train several seeds; the one with the most digits in training replaces the shipped file."""
     from ptne_env.training import through_world
     from ptne_env.training.configuration import POLICY
 
     def show(done: int, total: int, digits: float) -> None:
         if done % 50 == 0:
-            print(f"{name} {seed}: {done}/{total}, {digits:.3f} digits", flush=True)
+            print(f"seed {seed}: {done}/{total}, {digits:.3f} digits", flush=True)
 
-    stages = list(STAGES)
-    stage = stages.index(name)
-    before = out / stages[stage - 1] / "seed-0" / POLICY
-    start, tracks = str(before) if stage else "", worlds_of(stage)
-    folders = [out / name / f"seed-{seed}" for seed in seeds]
-    for seed, folder in zip(seeds, folders, strict=True):
-        settings = through_world.Settings(name, seed=seed, start=start, **STAGES[name])
-        summary = through_world.train(settings, folder, show, tracks)
+    digits = dict[Path, float]()
+    for seed in seeds:
+        settings, folder = through_world.Settings(TRAINED, seed=seed, **SETTINGS), out / TRAINED / f"seed-{seed}"
+        summary = through_world.train(settings, folder, show, worlds())
         steps = f"{summary.agent_steps / 1e6:.1f} M agent-steps"
-        print(f"{name} {seed}: {summary.digits:.2f} digits, {steps}, {summary.seconds:.0f} s")
-    if name == TRAINED:
-        best = max((learn.load(folder / POLICY) for folder in folders), key=lambda run: float(run.training["digits"]))
-        first = learn.load(before).weights
-        mean = {key: (first[key] + weights) / 2 for key, weights in best.weights.items()}
-        shipped = Path(learn.__file__).parent / f"{TRAINED}.npz"
-        # The stage is the same on every machine, unlike the path.
-        write_atomically(shipped, npz_policy.seal(mean, best.training | {"start": stages[stage - 1]}))
+        print(f"seed {seed}: {summary.digits:.2f} digits, {steps}, {summary.seconds:.0f} s")
+        digits[folder / POLICY] = float(learn.load(folder / POLICY).training["digits"])
+    best = max(digits, key=digits.__getitem__)
+    write_atomically(Path(learn.__file__).with_name(f"{TRAINED}.npz"), best.read_bytes())
 
 
-def table(name: str, out: Path) -> None:
-    """Play all seeds of a stage on the suite, and fill the table of ``learned.md`` with their spread."""
-    suite, seeds = get_suite("ptne-v1"), get_policy_spec(f"trained={out}/{name}/seed-*/policy.npz")
+def table(out: Path) -> None:
+    """Play all seeds on the suite, and fill the table of ``learned.md`` with their spread."""
+    suite, seeds = get_suite("ptne-v1"), get_policy_spec(f"trained={out}/{TRAINED}/seed-*/policy.npz")
     found = evaluate(seeds, suite.tracks, episodes=suite.episodes)
     digits = {track.name: found.samples[track.name, seeds.name]["digits"].mean(1) for track in suite.tracks}
     rows = [[track, f"{means.std(ddof=1):.2f}", f"{len(means)}"] for track, means in digits.items()]
@@ -241,11 +216,10 @@ def table(name: str, out: Path) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=("train", "table"))
-    parser.add_argument("stage", nargs="?", choices=tuple(STAGES), default=TRAINED)
     parser.add_argument("--seeds", default="0")
     parser.add_argument("--out", type=Path, default=Path("runs"))
     given = parser.parse_args()
     if given.command == "train":
-        train(given.stage, [int(seed) for seed in given.seeds.split(",")], given.out)
+        train([int(seed) for seed in given.seeds.split(",")], given.out)
     else:
-        table(given.stage, given.out)
+        table(given.out)

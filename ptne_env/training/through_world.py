@@ -43,7 +43,9 @@ class Settings:
 
     Attributes:
         scenario: the name of the world in which the network trains, as for ``ptne train``; a name for several worlds.
-        updates: the number of updates of the weights. Each follows the mean slope in all worlds.
+        updates: the number of updates of the weights.
+        groups: the number of groups into which the worlds are dealt, again and again at random. An update follows the
+            mean slope in the worlds of one group.
         cells: environments of a world times its players times its components, which is what an update costs.
         window: the number of steps between updates. Gradients end there; states and memories go on.
         shrink: the factor by which the gradient with respect to the state shrinks per step.
@@ -52,7 +54,6 @@ class Settings:
         hidden: the number of units of the network per component.
         slot_hidden: the number of units per component of each neighbour.
         seed: the seed of weights and episodes.
-        start: the file or name of a recurrent policy from whose weights the run starts; random weights if empty.
 
     Raises:
         ValueError: naming the value that has a wrong type or is out of its range.
@@ -60,6 +61,7 @@ class Settings:
 
     scenario: str
     updates: int = 800
+    groups: int = 1
     cells: int = 1600
     window: int = 40
     shrink: float = 0.99
@@ -68,10 +70,9 @@ class Settings:
     hidden: int = 32
     slot_hidden: int = 16
     seed: int = 0
-    start: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("updates", "cells", "window", "hidden", "slot_hidden"):
+        for name in ("updates", "groups", "cells", "window", "hidden", "slot_hidden"):
             require_count(name, getattr(self, name), 1)
         require_count("seed", self.seed, 0)
         require_positive("rate", self.rate)
@@ -198,18 +199,19 @@ def train(
         tracks: the worlds of the training, two at a time; the scenario of the settings if left out.
 
     Raises:
-        ValueError: for an unknown scenario, when ``out`` holds a run with other settings or a damaged one, or when
-            ``start`` is a network of other sizes or without memory.
+        ValueError: for an unknown scenario, or when ``out`` holds a run with other settings or a damaged one.
     """
     if (ended := read_finished_run(settings, out)) is not None:
         return ended
     jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
     began = saved = monotonic()
     tracks = tracks or [Track(settings.scenario, get_scenario(settings.scenario), "")]
-    weights = _starting_weights(settings)
+    weights = initial_weights(np.random.default_rng(settings.seed), settings.hidden, settings.slot_hidden)
     resumed_at, steps, reached = 0, 0, -math.inf
     if (out / POLICY).exists():
-        before = _load_recurrent(out / POLICY)
+        before = load(out / POLICY)
+        if not isinstance(before, RecurrentPolicy):
+            raise ValueError(f"{out / POLICY} is no policy of such a run; remove it to start again")
         weights, so_far = before.weights, before.training
         resumed_at, steps, reached = so_far["done"], so_far["agent_steps"], so_far["digits"]
     best = mean = weights = jax.tree.map(jnp.asarray, weights)
@@ -220,12 +222,15 @@ def train(
     lessons = [Lesson(track, settings, jax.random.fold_in(key, i)) for i, track in enumerate(tracks)]
     write_record(out / "configuration.json", settings)
     judged = 0  # updates of the curve
+    rng, groups = np.random.default_rng((settings.seed, resumed_at)), list[Any]()
     with ThreadPoolExecutor(2) as side_by_side:
         for done in range(resumed_at + 1, settings.updates + 1):
-            slopes, digits = zip(*side_by_side.map(Lesson.slope, lessons, repeat(weights, len(lessons))), strict=True)
+            groups = groups or np.array_split(rng.permutation(len(lessons)), min(settings.groups, len(lessons)))
+            group = [lessons[index] for index in groups.pop()]
+            slopes, digits = zip(*side_by_side.map(Lesson.slope, group, repeat(weights)), strict=True)
             # A mean of late weights has up to a digit more than the last ones.
             memory, weights, mean = _update(optimiser, slopes, memory, weights, mean, 20 / (done - resumed_at + 19))
-            steps += sum(lesson.agent_steps for lesson in lessons)
+            steps += sum(lesson.agent_steps for lesson in group)
             if np.isfinite(digits).any():
                 curve = np.append(curve, [[steps, np.nanmean(digits)]], axis=0)
             if progress is not None:
@@ -245,25 +250,6 @@ def train(
     summary = RunSummary(steps, resumed_at, monotonic() - began, _late_digits(curve))
     write_record(out / "summary.json", summary)
     return summary
-
-
-def _starting_weights(settings: Settings) -> Weights:
-    """Return the weights from which a run starts."""
-    sizes = settings.hidden, settings.slot_hidden
-    if not settings.start:
-        return initial_weights(np.random.default_rng(settings.seed), *sizes)
-    start = _load_recurrent(settings.start)
-    its_sizes = start.weights["again"].shape[-1], start.weights["slot_again"].shape[-1]
-    if its_sizes != sizes:
-        raise ValueError(f"{settings.start} has hidden and slot_hidden of {its_sizes}, but the settings {sizes}")
-    return start.weights
-
-
-def _load_recurrent(path_or_name: str | Path) -> RecurrentPolicy:
-    policy = load(path_or_name)
-    if not isinstance(policy, RecurrentPolicy):
-        raise ValueError(f"{path_or_name} is no recurrent policy for worlds of any size, whose weights a run needs")
-    return policy
 
 
 def _make_optimiser(rate: Callable[[Any], Any]) -> Any:

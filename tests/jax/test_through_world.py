@@ -45,16 +45,6 @@ def test_the_network_is_the_same_in_numpy_and_jax():
         state = dynamics.step(world.numpy, state, encoder.decode(actions.reshape(3, 5, 5), state))
 
 
-def test_a_run_starts_from_the_weights_of_a_recurrent_policy():
-    name = "recurrent-random-worlds"
-    start = through_world._starting_weights(dataclasses.replace(SHORT, start=name, hidden=48, slot_hidden=24))
-    np.testing.assert_equal(start, load(name).weights)
-    with pytest.raises(ValueError, match="ppo-random-energy is no recurrent policy for worlds of any size"):
-        through_world._starting_weights(dataclasses.replace(SHORT, start="ppo-random-energy"))
-    with pytest.raises(ValueError, match=r"hidden and slot_hidden of \(48, 24\), but the settings \(4, 3\)"):
-        through_world._starting_weights(dataclasses.replace(SHORT, start=name))
-
-
 def test_gradients_are_finite_where_nothing_is_left_to_do():
     """At the equilibrium distances, differences and scales are 0, and their logarithms are not defined."""
     lesson = through_world.Lesson(TRACK, SHORT, jax.random.key(0))
@@ -125,6 +115,28 @@ def test_an_update_follows_the_mean_slope_of_all_worlds(tmp_path, monkeypatch):
         through_world.train(dataclasses.replace(SHORT, updates=1), tmp_path / name, tracks=(TRACK, TRACK))
         trained = load(tmp_path / name / "policy.npz").weights
         assert (trained["gate"] != WEIGHTS["gate"]).all() == (trained["again"] != WEIGHTS["again"]).any() == moves
+
+
+def test_worlds_are_dealt_into_groups_and_each_has_its_turn(tmp_path, monkeypatch):
+    class Lesson:
+        agent_steps = 1
+
+        def __init__(self, track, *_):
+            self.name = track.name
+
+        def slope(self, _):
+            played.append(self.name)
+            return UPWARDS, 0.0
+
+    played, names = [], "abcde"
+    monkeypatch.setattr(through_world, "Lesson", Lesson)
+    settings = dataclasses.replace(SHORT, groups=2, updates=8)
+    tracks = [dataclasses.replace(TRACK, name=name) for name in names]
+    summary = through_world.train(settings, tmp_path, tracks=tracks)
+    assert summary.agent_steps == len(played) == 4 * len(names)  # a group is two worlds or three
+    deals = [played[start : start + len(names)] for start in range(0, len(played), len(names))]
+    assert [sorted(deal) for deal in deals] == [[*names]] * 4
+    assert len(set(map(tuple, deals))) > 1
 
 
 def test_a_run_that_gets_worse_keeps_its_best_weights(tmp_path, monkeypatch):
