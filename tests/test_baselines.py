@@ -155,6 +155,12 @@ def test_what_is_trained_gives_a_row_and_the_best_seed_on_validation_episodes_sh
     assert line.endswith(f"| {np.std(means, ddof=1):.2f} | {len(seeds)} | {budget // 10**6} M | 1.5 | {gained} |")
 
 
+def test_a_name_with_a_comma_survives_the_file_of_results(tmp_path):
+    row = {"suite": "mine", "track": "20 players, directed", "policy": "relay", "metric": "digits", "mean": "1.5"}
+    published.write_rows(tmp_path / "results.csv", [row])
+    assert published.read(tmp_path / "results.csv").cell("mine", "20 players, directed", "relay")["mean"] == "1.5"
+
+
 def test_tables_of_random_worlds_count_failures_and_shortfalls_behind_the_best_rival():
     def row(world, policy, metric, mean, low="", high=""):
         numbers = {"mean": mean, "low": low, "high": high}
