@@ -201,12 +201,14 @@ def train(seeds: list[int], out: Path) -> None:
 
 
 def table(out: Path) -> None:
-    """Play all seeds on the suite, and fill the table of ``learned.md`` with their spread."""
-    suite, seeds = get_suite("ptne-v1"), get_policy_spec(f"trained={out}/{TRAINED}/seed-*/policy.npz")
-    found = evaluate(seeds, suite.tracks, episodes=suite.episodes)
-    digits = {track.name: found.samples[track.name, seeds.name]["digits"].mean(1) for track in suite.tracks}
-    rows = [[track, f"{means.std(ddof=1):.2f}", f"{len(means)}"] for track, means in digits.items()]
-    filled, document = markdown(["", "±", "seeds"], rows), Path(__file__).with_suffix(".md")
+    """Play all seeds on the suite, and fill the table of ``learned.md`` with their means and spread."""
+    names = [f"ptne-v1/{track.name}" for track in get_suite("ptne-v1").tracks]  # a track draws other episodes
+    seeds = get_policy_spec(f"trained={out}/{TRAINED}/seed-*/policy.npz")
+    found = evaluate(seeds, names)
+    digits = {name: found.samples[name, seeds.name]["digits"].mean(1) for name in names}
+    rows = [[name, *(f"{n:.2f}" for n in (means.mean(), means.std(ddof=1)))] for name, means in digits.items()]
+    headings = ["track", f"mean of {len(seeds.training_seeds)} seeds", "standard deviation"]
+    filled, document = markdown(headings, rows), Path(__file__).with_suffix(".md")
     text = document.read_text(encoding="utf-8")
     write_atomically(document, fill_marks(text, "part", "end of part", lambda _: filled))
 
