@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 from baselines.published import TRAINED, fill_marks, markdown
@@ -192,17 +193,18 @@ def train(seeds: list[int], out: Path) -> None:
             print(f"seed {seed}: {done}/{total}, {digits:.3f} digits", flush=True)
 
     for seed in seeds:
+        began = process_time()
         settings, folder = through_world.Settings(TRAINED, seed=seed, **SETTINGS), out / TRAINED / f"seed-{seed}"
         summary = through_world.train(settings, folder, show, worlds())
         steps = f"{summary.agent_steps / 1e6:.1f} M agent-steps"
-        print(f"seed {seed}: {summary.digits:.2f} digits, {steps}, {summary.seconds:.0f} s")
+        print(f"seed {seed}: {summary.digits:.2f} digits, {steps}, {(process_time() - began) / 60:.0f} core minutes")
         if seed == 0:
             write_atomically(learn.shipped_path(TRAINED), (folder / POLICY).read_bytes())
 
 
 def table(out: Path) -> None:
     """Play all seeds on the suite, and fill the table of ``learned.md`` with their means and spread."""
-    names = [f"ptne-v1/{track.name}" for track in get_suite("ptne-v1").tracks]  # a track draws other episodes
+    names = [f"ptne-v1/{track.name}" for track in get_suite("ptne-v1").tracks]  # an object draws others
     seeds = get_policy_spec(f"trained={out}/{TRAINED}/seed-*/policy.npz")
     found = evaluate(seeds, names)
     digits = {name: found.samples[name, seeds.name]["digits"].mean(1) for name in names}

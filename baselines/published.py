@@ -269,7 +269,7 @@ def failed_worlds(numbers: Published) -> str:
     return markdown(["world", *SHOWN_ON_WORLDS, "best"], rows)
 
 
-def by_policy(numbers: Published, suite: str) -> str:
+def rows_by_policy(numbers: Published, suite: str) -> str:
     """A row per policy and a column per track."""
     names = numbers.names("track", suite)
     rows = [
@@ -314,8 +314,8 @@ TABLES: dict[str, Callable[[Published], str]] = {
     "robustness-seen": lambda numbers: shortfalls(numbers, [SEEN]),
     "robustness-fresh": lambda numbers: shortfalls(numbers, FRESH),
     "robustness-failures": failed_worlds,
-    "edge-cases": lambda numbers: by_policy(numbers, "edge-cases"),
-    "directed-graphs": lambda numbers: by_policy(numbers, "directed-graphs"),
+    "edge-cases": lambda numbers: rows_by_policy(numbers, "edge-cases"),
+    "directed-graphs": lambda numbers: rows_by_policy(numbers, "directed-graphs"),
     "algorithms": algorithms,
     "catalogue": lambda numbers: by_track(numbers, "comparison", SHOWN_ON_SCENARIOS),
     "catalogue-all": lambda numbers: all_policies(numbers, "comparison"),

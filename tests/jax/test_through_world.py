@@ -11,6 +11,7 @@ import numpy as np
 
 import ptne_env.jax
 from ptne_env.learn import load, npz_policy, recurrent
+from ptne_env.learn.policy_files import shipped_path
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.training import through_world
@@ -98,6 +99,9 @@ def test_a_run_learns_and_goes_on_after_an_interruption(tmp_path):
     with pytest.raises(ValueError, match="holds another run: seed is 0 there and 1 here"):
         through_world.train(dataclasses.replace(SHORT, seed=1), out)
     (out / "summary.json").unlink()  # as if it was interrupted after two updates
+    (out / "policy.npz").write_bytes(shipped_path("ppo-nominal").read_bytes())
+    with pytest.raises(ValueError, match="is no policy of such a run; remove it to start again"):
+        through_world.train(SHORT, out)
     half = policy.training | {"done": 2, "agent_steps": 100}
     (out / "policy.npz").write_bytes(npz_policy.seal(policy.weights, half))
     resumed = through_world.train(SHORT, out)
