@@ -1,7 +1,8 @@
 """The network for all tracks that was trained through the world: its worlds, its training, and ``learned.md``.
 
     python -m baselines.learned train [--seeds 0,1,2,3,4] [--out runs]   train; resumes what is unfinished
-    python -m baselines.learned table [--out runs]                       play all seeds, and fill ``learned.md``
+    python -m baselines.learned train --without liar [--out runs]        a quarter as long, without the worlds of a kind
+    python -m baselines.learned table [--out runs]                       play all of them, and fill ``learned.md``
 
 No world of a suite is trained on: sizes, numbers and fault levels of these worlds are others, and the worlds of the
 suite ``robustness`` are drawn from another seed.
@@ -172,18 +173,23 @@ def drawn(seed: int, *kinds: str, most_steps: int = 700) -> tuple[Track, ...]:
     )
 
 
-def worlds() -> tuple[Track, ...]:
-    """The worlds of the training."""
+LEFT_OUT = {"nothing": "nothing", "liar": "liar", "rounding": "round", "short-deadline": "short", "coupled": "coupled"}
+"""Mechanisms that a training may leave out, by their tracks, and the word by which their worlds are known."""
+
+
+def worlds(without: str = "nothing") -> tuple[Track, ...]:
+    """The worlds of the training, without those of a mechanism."""
     rotating = [track for seed in (77, 78, 79) for track in drawn(seed, "rotating")]
     others = [track for track in drawn(78, "a perfect channel", "complements") if "rotating" not in track.change]
-    return (*WORLDS, *drawn(77, most_steps=500)[:6], *HARDER_WORLDS, *rotating, *others[:10])
+    every = (*WORLDS, *drawn(77, most_steps=500)[:6], *HARDER_WORLDS, *rotating, *others[:10])
+    return tuple(track for track in every if LEFT_OUT[without] not in track.change)
 
 
 SETTINGS = {"updates": 2600, "groups": 4, "cells": 100, "hidden": 48, "slot_hidden": 24}
 """Those of :class:`ptne_env.training.through_world.Settings` that are not the defaults."""
 
 
-def train(seeds: list[int], out: Path) -> None:
+def train(seeds: list[int], out: Path, without: str | None = None) -> None:
     """Train several seeds. Seed 0 replaces the shipped file, so that nobody chose among seeds."""
     from ptne_env.training import through_world
     from ptne_env.training.configuration import POLICY
@@ -192,36 +198,53 @@ def train(seeds: list[int], out: Path) -> None:
         if done % 50 == 0:
             print(f"seed {seed}: {done}/{total}, {digits:.3f} digits", flush=True)
 
+    name, updates, tracks = TRAINED, SETTINGS["updates"], worlds(without or "nothing")
+    if without is not None:
+        name, updates = f"{TRAINED}-without-{without}", updates // 4
     for seed in seeds:
         began = process_time()
-        settings, folder = through_world.Settings(TRAINED, seed=seed, **SETTINGS), out / TRAINED / f"seed-{seed}"
-        summary = through_world.train(settings, folder, show, worlds())
+        settings = through_world.Settings(name, seed=seed, **SETTINGS | {"updates": updates})
+        summary = through_world.train(settings, folder := out / name / f"seed-{seed}", show, tracks)
         steps = f"{summary.agent_steps / 1e6:.1f} M agent-steps"
         print(f"seed {seed}: {summary.digits:.2f} digits, {steps}, {(process_time() - began) / 60:.0f} core minutes")
-        if seed == 0:
+        if seed == 0 and without is None:
             write_atomically(learn.shipped_path(TRAINED), (folder / POLICY).read_bytes())
 
 
+def play(out: Path, name: str, tracks: list[str]) -> tuple[int, dict[str, Any]]:
+    """Return the number of seeds of a training, and their digits by track, shape ``(seeds,)``."""
+    seeds = get_policy_spec(f"trained={out}/{name}/seed-*/policy.npz")
+    found = evaluate(seeds, [f"ptne-v1/{track}" for track in tracks])  # a track as an object draws other episodes
+    return len(seeds.training_seeds), {
+        track: found.samples[f"ptne-v1/{track}", seeds.name]["digits"].mean(1) for track in tracks
+    }
+
+
 def table(out: Path) -> None:
-    """Play all seeds on the suite, and fill the table of ``learned.md`` with their means and spread."""
-    names = [f"ptne-v1/{track.name}" for track in get_suite("ptne-v1").tracks]  # an object draws others
-    seeds = get_policy_spec(f"trained={out}/{TRAINED}/seed-*/policy.npz")
-    found = evaluate(seeds, names)
-    digits = {name: found.samples[name, seeds.name]["digits"].mean(1) for name in names}
-    rows = [[name, *(f"{n:.2f}" for n in (means.mean(), means.std(ddof=1)))] for name, means in digits.items()]
-    headings = ["track", f"mean of {len(seeds.training_seeds)} seeds", "standard deviation"]
-    filled, document = markdown(headings, rows), Path(__file__).with_suffix(".md")
+    """Play all seeds on the suite, and the networks that lack a mechanism on its track; fill ``learned.md``."""
+    count, digits = play(out, TRAINED, [track.name for track in get_suite("ptne-v1").tracks])
+    rows = [[track, f"{means.mean():.2f}", f"{means.std(ddof=1):.2f}"] for track, means in digits.items()]
+    parts = {"spread": markdown(["track", f"mean of {count} seeds", "standard deviation"], rows)}
+    mechanisms = [track for track in LEFT_OUT if track != "nothing"]
+    _, complete = play(out, f"{TRAINED}-without-nothing", mechanisms)
+    rows = []
+    for track in mechanisms:
+        with_it, lacking = complete[track].mean(), play(out, f"{TRAINED}-without-{track}", [track])[1][track].mean()
+        rows.append([track, *(f"{each:.2f}" for each in (with_it, lacking, with_it - lacking))])
+    parts["without"] = markdown(["track", "trained with all worlds", "without those of its kind", "loss"], rows)
+    document = Path(__file__).with_suffix(".md")
     text = document.read_text(encoding="utf-8")
-    write_atomically(document, fill_marks(text, "part", "end of part", lambda _: filled))
+    write_atomically(document, fill_marks(text, "part", "end of part", parts.__getitem__))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=("train", "table"))
     parser.add_argument("--seeds", default="0")
+    parser.add_argument("--without", choices=LEFT_OUT)
     parser.add_argument("--out", type=Path, default=Path("runs"))
     given = parser.parse_args()
     if given.command == "train":
-        train([int(seed) for seed in given.seeds.split(",")], given.out)
+        train([int(seed) for seed in given.seeds.split(",")], given.out, given.without)
     else:
         table(given.out)
