@@ -27,7 +27,8 @@ from ptne_env.shared.files import DamagedFileError
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = ("compare", "render", "certify", "train", "list")
-PTNE = (sys.executable, "-W", "error", "-m", "ptne_env.cli")
+# After Ctrl-C joblib's tracker sometimes finds a semaphore gone already.
+PTNE = (sys.executable, "-W", "error", "-W", "ignore:resource_tracker:UserWarning", "-m", "ptne_env.cli")
 
 
 def ptne(*arguments, cwd=None, **environment):
