@@ -125,7 +125,7 @@ TRACKS = (
         topology=part("topology:cycle", players=40),
         slots=None,
         gain=5.0,
-        episodes=6,
+        episodes=20,
     ),
     _track(
         "market-118",
@@ -139,7 +139,7 @@ TRACKS = (
         slots=None,
         gain=2.0,
         steps=200,
-        episodes=3,
+        episodes=10,
     ),
 )
 
