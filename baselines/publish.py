@@ -19,7 +19,6 @@ from baselines.published import (
     ALL,
     FAILED,
     LEAD,
-    MINUS_BEST_LAW,
     MINUS_PAPER,
     PPO,
     RESULTS,
@@ -49,7 +48,7 @@ METRICS = (*SHOWN, "settling_time", "settled_share", "diverged_share")
 def differences_of(results: Results, label: str, tracks: Sequence[str]) -> Iterable[Row]:
     """The rows of paired differences between policies that play these tracks.
 
-    They are those of each from the best other law and the paper's, and that of the best of three from the second.
+    They are those of each from the paper's law, and that of the best of three from the second.
 
     Args:
         results: the results.
@@ -64,10 +63,7 @@ def differences_of(results: Results, label: str, tracks: Sequence[str]) -> Itera
     best_first = sorted(digits, key=lambda name: -digits[name])
     laws = [name for name in best_first if results.policies[name].is_law]
     three = [name for name in best_first if name in (*laws[:1], PPO, TRAINED)]
-    pairs = [(LEAD, *three[:2])] * (len(three) > 1)
-    for policy in digits:
-        pairs += [(MINUS_BEST_LAW, policy, next((name for name in laws if name != policy), policy))]
-        pairs += [(MINUS_PAPER, policy, LAW)]
+    pairs = [(LEAD, *three[:2])] * (len(three) > 1) + [(MINUS_PAPER, policy, LAW) for policy in digits]
     for metric, policy, other in pairs:
         if other != policy and other in digits:
             row = {"suite": results.name, "track": label, "policy": policy, "metric": metric}

@@ -50,8 +50,8 @@ NEAR = 0.5
 HEADINGS = "digits", "on the way", "worst tenth"
 """The headings of the metrics that every table shows."""
 
-MINUS_BEST_LAW, MINUS_PAPER = "digits_minus_best_law", "digits_minus_static"
-"""The digits of a policy minus those of the best law, but itself, and of the paper's law, in the same episodes."""
+MINUS_PAPER = "digits_minus_static"
+"""The digits of a policy minus those of the paper's law in the same episodes."""
 
 LEAD = "lead"
 """The digits of the best of the best law, ``PPO`` and ``TRAINED`` minus those of the second."""
