@@ -43,7 +43,7 @@ SHOWN = (
 """The policies of the short table of the suite."""
 
 SHOWN_ON_WORLDS = ("static", "grounded", "routed-unknown", "relay", TRAINED)
-SHOWN_ON_SCENARIOS = ("static", "grounded", "routed-unknown", "relay", "ppo-random-energy", "oracle")
+SHOWN_ON_SCENARIOS = ("static", "grounded", "routed-unknown", "relay", TRAINED, "oracle")
 NEAR = 0.5
 """Digits by which a policy may miss the best one and is near."""
 

@@ -115,7 +115,7 @@ MISUSES = {
     "evaluate('static(4)', 'energy')": r"are written as in 'static\(kappa=4\)', got 'static\(4\)'",
     "evaluate('static(kappa=k)', 'energy')": "arguments of a policy are written as in",
     "evaluate('static(kappa=4)()', 'energy')": "arguments of a policy are written as in",
-    "evaluate('ppo-random-energy(x=1)', 'energy')": "policy 'ppo-random-energy' is a file and takes no arguments",
+    "evaluate('ppo(x=1)', 'energy')": "policy 'ppo' is a file and takes no arguments",
     "evaluate([], 'energy')": "at least one policy",
     "evaluate('static', [])": "needs at least one scenario",
     "evaluate('no.such.module:thing', 'energy')": "cannot import",

@@ -40,14 +40,13 @@ _COMPARED = {
         "Copies news as routed-unknown, and takes best responses by an identified model of the own gradient.",
         part("law:relay"),
     ),
-    "ppo-random-energy": ("A network that PPO trained on random-energy.", DATA.spec("ppo-random-energy")),
-}
-_OTHERS = {
-    "ppo": ("A network for each track of ptne-v1, which PPO trained there.", DATA.spec(f"ppo-{TRACK}")),
     "recurrent-random-worlds": (
         "A network with memory that was trained through 76 worlds, many like the tracks with other numbers.",
         DATA.spec("recurrent-random-worlds"),
     ),
+}
+_OTHERS = {
+    "ppo": ("A network for each track of ptne-v1, which PPO trained there.", DATA.spec(f"ppo-{TRACK}")),
     "static-tuned": ("The static law with tuned weights.", part("law:static", kappa=2.2, gradient_gain=2.94)),
     "adaptive-grounded": (
         "Ye and Hu's adaptive law: the grounded law, with gains that every player tunes by itself.",
@@ -74,7 +73,7 @@ _CODED = {
     f"coded-{name}": (f"{what}, in code.", part("law:coded", policy=policy))
     for name, what, policy in (
         ("relay", "The relay", _COMPARED["relay"][1]),
-        ("network", "The network recurrent-random-worlds", _OTHERS["recurrent-random-worlds"][1]),
+        ("network", "The network recurrent-random-worlds", _COMPARED["recurrent-random-worlds"][1]),
     )
 }
 TABLE = _COMPARED | _OTHERS | _CODED

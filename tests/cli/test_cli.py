@@ -99,7 +99,7 @@ def test_characters_that_the_output_cannot_encode_are_spelled_out(words, printed
         ("compare ptne-v1/liar --suite ptne-v2", "of scenarios, or of the tracks of one suite"),
         ("compare nominal", "unknown scenario 'nominal'; did you mean 'ptne-v1/nominal'?"),
         ("compare energy --policy ,", "--policy names no policy"),
-        ("certify energy --law ppo-random-energy", "'ppo-random-energy' is no law"),
+        ("certify energy --law recurrent-random-worlds", "'recurrent-random-worlds' is no law"),
         ("compare --policy Grounded", "unknown policy 'Grounded'; did you mean 'grounded'"),
         ("compare --episodes 0", "--episodes"),
         ("compare --jobs 0", "0 jobs"),

@@ -46,7 +46,7 @@ def test_a_witness_of_own_links_gets_rows_of_one_player(episodes):
 )
 def test_policies_that_ship_pass_the_audit_without_which_a_run_takes_them_on_trust(scenario):
     track, episodes = Track("t", scenario, "A change."), EpisodeSet(5, 0)
-    any_size = [POLICIES[name] for name in POLICIES if name not in ("ppo", "ppo-random-energy")]
+    any_size = [POLICIES[name] for name in POLICIES if name != "ppo"]
     results = {policy.name: Job(track, policy, 0, episodes).compute(audits=True) for policy in any_size}
     assert {name: result.failure for name, result in results.items() if result.failure} == {}
     assert not any(result.not_applicable for result in results.values())
@@ -152,7 +152,7 @@ def test_rounding_that_depends_on_the_size_of_the_batch_passes_the_audit(episode
 
 def test_policies_of_the_user_are_audited_and_those_that_ship_are_not(tmp_path, monkeypatch):
     own = tmp_path / "mine.npz"
-    own.write_bytes(shipped_path("ppo-random-energy").read_bytes())
+    own.write_bytes(shipped_path("recurrent-random-worlds").read_bytes())
     audited = []
     monkeypatch.setattr(Witness, "compare", lambda witness, rows, actions: audited.append(1))
     for policy in (get_policy_spec(str(own)), PolicySpec("class", laws.Static)):
@@ -160,5 +160,5 @@ def test_policies_of_the_user_are_audited_and_those_that_ship_are_not(tmp_path, 
         evaluate(policy, BASE, episodes=1)
         assert audited
     audited.clear()
-    evaluate(["static", "ppo-random-energy"], BASE, episodes=1)
+    evaluate(["static", "recurrent-random-worlds"], BASE, episodes=1)
     assert not audited

@@ -9,7 +9,7 @@ import pytest
 from small_suite import BASE
 
 import ptne_env
-from ptne_env import FactorySpec, Interface, PolicySpec, evaluate, laws, theory
+from ptne_env import FactorySpec, Interface, PolicySpec, evaluate, get_scenario, laws, theory
 from ptne_env.evaluation import COMPARED, POLICIES, get_policy_spec
 from ptne_env.evaluation.comparison import as_list
 from ptne_env.learn import shipped_path
@@ -55,7 +55,7 @@ def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     for folder in ("lr=0.1", "runs/lr=0.1", "runs/lr=0.2"):
         (tmp_path / folder).mkdir(parents=True)
-        (tmp_path / folder / "policy.npz").write_bytes(shipped_path("ppo-random-energy").read_bytes())
+        (tmp_path / folder / "policy.npz").write_bytes(shipped_path("ppo-nominal").read_bytes())
     for path in ("lr=0.1/policy.npz", "runs/lr=0.1/policy.npz"):  # a path with an equals sign is a file
         assert get_policy_spec(path).policy == FactorySpec.of("policy:file", path_or_name=path)
         assert as_list(Path(path)) == [Path(path)]
@@ -71,13 +71,13 @@ def test_a_pattern_names_the_training_seeds_of_one_policy(tmp_path, monkeypatch)
 
 def test_a_policy_may_have_one_file_per_track(tmp_path):
     name, other = "random-energy", "random-energy-switching"
-    for scenario, shipped in ((name, "ppo-random-energy"), ("energy", "ppo-nominal")):
+    for scenario, shipped in ((name, "ppo-nominal"), ("energy", "ppo-liar")):
         (tmp_path / f"{scenario}.npz").write_bytes(shipped_path(shipped).read_bytes())
     several = get_policy_spec(f"mine={tmp_path}/{{track}}.npz")
     assert PolicySpec.from_dict(several.to_dict()) == several
     alone = get_policy_spec(tmp_path / f"{name}.npz")
     assert alone.on_scenario(name) is alone  # no file is read again for each job
-    results = evaluate([several, alone], [name, other], episodes=3)
+    results = evaluate([several, alone], [get_scenario(each, slots=4) for each in (name, other)], episodes=3)
     assert np.array_equal(results.samples[name, "mine"]["digits"], results.samples[name, name]["digits"])
     assert results.not_applicable == {
         (other, "mine"): "it has one file per track, for energy, random-energy, and none for this one"

@@ -196,11 +196,11 @@ def test_data_of_another_form_are_no_results(results, change):
 
 def test_a_latex_table_has_every_track_and_policy_and_escapes_names():
     mine = PolicySpec("50%_[mine]", laws.Static)
-    shown = evaluate([mine, "ppo-random-energy"], ["energy", "robots"], episodes=2)
+    shown = evaluate([mine, "ppo"], ["energy", "robots"], episodes=2)
     first, second = (number(shown.record(track, mine.name, "digits")["mean"]) for track in ("energy", "robots"))
     lines = shown.to_latex().splitlines()
     assert lines[0] == r"\begin{tabular}{lrr}"
-    assert lines[2] == r"digits & 50\%\_{[}mine{]} & ppo-random-energy \\"
+    assert lines[2] == r"digits & 50\%\_{[}mine{]} & ppo \\"
     assert lines[4].startswith(f"energy & {first} {{[}}")
     assert lines[5].startswith(f"robots & {second} {{[}}")
     assert lines[5].endswith(r" & n/a \\")

@@ -64,11 +64,10 @@ def test_a_policy_may_be_a_class_a_factory_spec_a_callable_or_an_object():
 def test_every_default_law_acts_in_every_game_of_the_catalogue():
     fixed = (each for each in ptne_env.CATALOGUE.values() if World(each).topology.is_fixed)
     scenarios = [scenario.replace(steps=15) for scenario in fixed]
-    policies = [name for name in COMPARED if not name.startswith("ppo-")]
-    results = evaluate(policies, scenarios, episodes=1)
+    results = evaluate(COMPARED, scenarios, episodes=1)
     assert not results.failures
     assert not results.not_applicable
-    assert len(results.samples) == len(policies) * len(scenarios)
+    assert len(results.samples) == len(COMPARED) * len(scenarios)
 
 
 def test_every_default_law_stands_where_the_equilibrium_is_zero():
@@ -79,8 +78,7 @@ def test_every_default_law_stands_where_the_equilibrium_is_zero():
         topology=FactorySpec.of("topology:path", players=2),
         start="random",
     )
-    policies = {"relay", *(name for name in COMPARED if not name.startswith("ppo-"))}
-    results = evaluate(policies, scenario, episodes=3)
+    results = evaluate(COMPARED, scenario, episodes=3)
     assert not results.failures
     assert results.record("zero", "relay", "regret")["high"] < 1e-85
     json.loads(results.to_json())

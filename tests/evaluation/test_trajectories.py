@@ -11,6 +11,7 @@ from ptne_env.evaluation import Teammates, Track
 from ptne_env.evaluation.comparison import _round_values
 from ptne_env.evaluation.metrics import METRICS, measure
 from ptne_env.evaluation.trajectories import ARRAYS, SUFFIXES
+from ptne_env.learn import shipped_path
 from ptne_env.perception.observation import LayoutError
 from ptne_env.perception.policy import PolicyError
 from ptne_env.world import dynamics
@@ -169,7 +170,7 @@ def test_wrong_arguments_raise_what_evaluate_says():
     with pytest.raises(ValueError, match="episodes must be a whole number of at least 1, got 1.5"):
         record("static", "random-energy", episodes=1.5)
     with pytest.raises(LayoutError):
-        record("ppo-random-energy", "robots")
+        record(shipped_path("ppo-nominal"), "robots")
     with pytest.raises(PolicyError, match="it cannot be built"):
         record(PolicySpec("mine", lambda layout: 1 / 0), "energy")
 

@@ -44,7 +44,7 @@ def test_a_key_depends_on_everything_that_the_numbers_do(change):
 
 def test_a_key_depends_on_the_physics_and_on_the_content_of_a_policy_file(monkeypatch, tmp_path):
     path, keys = tmp_path / "mine.npz", set()
-    content = shipped_path("ppo-random-energy").read_bytes()
+    content = shipped_path("ppo-nominal").read_bytes()
     path.write_bytes(content)
     job = replace(JOB, policy=get_policy_spec(str(path)))
     keys.add(key_of(job))

@@ -5,7 +5,7 @@ import pytest
 from small_suite import STRANGERS
 from worlds import begin, world_and_encoder
 
-from ptne_env import FactorySpec, evaluate, get_scenario
+from ptne_env import FactorySpec, evaluate, get_scenario, learn
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.laws import Coded, Static
 from ptne_env.perception.observation import LayoutError
@@ -80,4 +80,4 @@ def test_code_needs_natural_units():
         Coded(encoder.layout, Static)
     _, encoder = world_and_encoder("random-energy")
     with pytest.raises(LayoutError, match="code needs"):
-        Coded(encoder.layout, get_policy_spec("ppo-random-energy").policy.build())
+        Coded(encoder.layout, learn.load("ppo-nominal"))

@@ -149,7 +149,7 @@ def test_a_link_to_a_device_is_refused_before_it_is_read(tmp_path, name):
 
 def test_a_missing_policy_names_the_shipped_ones():
     with pytest.raises(
-        ValueError, match="unknown learned policy 'no-such-policy'; choose from ppo-.*ppo-random-energy"
+        ValueError, match="unknown learned policy 'no-such-policy'; choose from ppo-.*recurrent-random-worlds"
     ):
         learn.load("no-such-policy")
     with pytest.raises(FileNotFoundError, match=r"there is no file 'missing\.npz'"):
@@ -165,7 +165,7 @@ def test_each_track_has_the_file_of_ppo_that_was_trained_on_it():
 
 @pytest.mark.parametrize(
     ("name", "scenario", "digits"),
-    [("ppo-random-energy", "random-energy", 10.0), ("ppo", "ptne-v1/nominal", 10.0)],
+    [("recurrent-random-worlds", "random-energy", 10.0), ("ppo", "ptne-v1/nominal", 10.0)],
 )
 def test_the_shipped_policies_have_digits_where_they_were_trained(name, scenario, digits):
     results = ptne_env.evaluate([name], [ptne_env.get_scenario(scenario)], episodes=10, split="validation")

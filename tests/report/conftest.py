@@ -4,6 +4,7 @@ import pytest
 
 from ptne_env import FactorySpec, PolicySpec, evaluate, get_scenario
 from ptne_env.evaluation import Track
+from ptne_env.learn import shipped_path
 from ptne_env.suites import Suite, run_suite
 
 
@@ -24,7 +25,7 @@ def comparison(hostile):
 @pytest.fixture(scope="session")
 def suite():
     """Results of a suite of two tracks; on one of them a learned policy cannot act."""
-    world = get_scenario("random-energy", steps=200)
+    world = get_scenario("random-energy", steps=200, slots=4)
     robots = world.replace(game=FactorySpec.of("game:robots"))
     tiny = Suite("tiny", (Track("plain", world, "Nothing."), Track("robots", robots, "Robots.")), episodes=6)
-    return run_suite(tiny, ["ppo-random-energy", "grounded", "adaptive"])
+    return run_suite(tiny, [shipped_path("ppo-nominal"), "grounded", "adaptive"])

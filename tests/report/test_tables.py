@@ -75,7 +75,7 @@ def test_the_answer_has_a_row_per_track_and_their_mean(comparison, suite, hostil
         for row, metric in (("on the way", "digits_on_the_way"), ("worst tenth", "digits_cvar")):
             values = [comparison.record(track, name, metric)["mean"] for track in table.rows[:2]]
             assert columns[name][row].value == pytest.approx(np.mean(values))
-    learned = next(column for column in answer_table(suite).columns if column.label == "ppo-random-energy")
+    learned = next(column for column in answer_table(suite).columns if column.label == "ppo-nominal")
     assert learned["robots"] == Cell("n/a")
     board = {row.policy: row for row in leaderboard(suite)}
     assert learned["score"].value == board[learned.label].score.mean
@@ -189,10 +189,10 @@ def test_tables_of_a_track_hold_the_metrics_that_have_values(comparison):
 
 def test_a_policy_that_cannot_act_is_named_with_the_reason(suite):
     plain, robots = (track_tables(suite, track)[0] for track in suite.tracks)
-    assert "ppo-random-energy" in plain.rows
-    assert {column["ppo-random-energy"] for column in robots.columns} == {Cell("n/a")}
+    assert "ppo-nominal" in plain.rows
+    assert {column["ppo-nominal"] for column in robots.columns} == {Cell("n/a")}
     for table in (robots, answer_table(suite)):
-        (reason,) = [note for note in table.notes if note.startswith("n/a: ppo-random-energy on robots: ")]
+        (reason,) = [note for note in table.notes if note.startswith("n/a: ppo-nominal on robots: ")]
         assert "was made for another layout" in reason
 
 
