@@ -11,6 +11,7 @@ suite ``robustness`` are drawn from another seed.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
@@ -211,26 +212,26 @@ def train(seeds: list[int], out: Path, without: str | None = None) -> None:
             write_atomically(learn.shipped_path(TRAINED), (folder / POLICY).read_bytes())
 
 
-def play(out: Path, name: str, tracks: list[str]) -> tuple[int, dict[str, Any]]:
-    """Return the number of seeds of a training, and their digits by track, shape ``(seeds,)``."""
-    seeds = get_policy_spec(f"trained={out}/{name}/seed-*/policy.npz")
-    found = evaluate(seeds, [f"ptne-v1/{track}" for track in tracks])  # a track as an object draws other episodes
-    return len(seeds.training_seeds), {
-        track: found.samples[f"ptne-v1/{track}", seeds.name]["digits"].mean(1) for track in tracks
-    }
+def play(out: Path, name: str, tracks: Iterable[str]) -> dict[str, Any]:
+    """Return the digits of all seeds of a training by track, each of shape ``(seeds,)``."""
+    seeds = get_policy_spec(f"{name}={out}/{name}/seed-*/policy.npz")
+    names = {track: f"ptne-v1/{track}" for track in tracks}  # a track as an object draws other episodes
+    found = evaluate(seeds, [*names.values()]).samples
+    return {track: found[names[track], name]["digits"].mean(1) for track in names}
 
 
 def table(out: Path) -> None:
     """Play all seeds on the suite, and the networks that lack a mechanism on its track; fill ``learned.md``."""
-    count, digits = play(out, TRAINED, [track.name for track in get_suite("ptne-v1").tracks])
+    digits = play(out, TRAINED, [track.name for track in get_suite("ptne-v1").tracks])
+    headings = ["track", f"mean of {len(digits['nominal'])} seeds", "standard deviation"]
     rows = [[track, f"{means.mean():.2f}", f"{means.std(ddof=1):.2f}"] for track, means in digits.items()]
-    parts = {"spread": markdown(["track", f"mean of {count} seeds", "standard deviation"], rows)}
-    mechanisms = [track for track in LEFT_OUT if track != "nothing"]
-    _, complete = play(out, f"{TRAINED}-without-nothing", mechanisms)
-    rows = []
+    parts = {"spread": markdown(headings, rows)}
+    _, *mechanisms = LEFT_OUT
+    complete, rows = play(out, f"{TRAINED}-without-nothing", mechanisms), []
     for track in mechanisms:
-        with_it, lacking = complete[track].mean(), play(out, f"{TRAINED}-without-{track}", [track])[1][track].mean()
-        rows.append([track, *(f"{each:.2f}" for each in (with_it, lacking, with_it - lacking))])
+        lacking = play(out, f"{TRAINED}-without-{track}", [track])[track]
+        both = complete[track].mean(), lacking.mean()
+        rows.append([track, *(f"{each:.2f}" for each in (*both, both[0] - both[1]))])
     parts["without"] = markdown(["track", "trained with all worlds", "without those of its kind", "loss"], rows)
     document = Path(__file__).with_suffix(".md")
     text = document.read_text(encoding="utf-8")
