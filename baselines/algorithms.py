@@ -98,9 +98,14 @@ class Plan(NamedTuple):
 
 _PPO = Plan((20_000_000, 50_000_000), range(5), 5_000_000, candidates(20), ships=True)
 _SAC_TRIALS = (
-    *({"log_std": -3.4}, {"discount": 0.5}, {"hidden": (128, 128)}, {"log_std": -2.4}),
-    *({"log_std": -2.4, "discount": discount} for discount in (0.5, 0.9)),
-    *({"log_std": -2.4} | other for other in ({"learning_rate": 3e-4}, {"minibatches": 1, "epochs": 12})),
+    {"log_std": -2.4},
+    {"log_std": -3.4},
+    {"discount": 0.5},
+    {"hidden": (128, 128)},
+    {"log_std": -2.4, "discount": 0.5},
+    {"log_std": -2.4, "discount": 0.9},
+    {"log_std": -2.4, "learning_rate": 3e-4},
+    {"log_std": -2.4, "minibatches": 1, "epochs": 12},
 )
 PLANS = {
     **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), _PPO),
