@@ -9,7 +9,7 @@ import pytest
 import release_check
 from scipy import stats
 
-from baselines import algorithms, edge_cases, pages, publish, published, ranking, tune
+from baselines import algorithms, edge_cases, learned, pages, publish, published, ranking, tune
 from ptne_env import CATALOGUE, evaluate, learn
 from ptne_env.evaluation import CODED, ENTERED, POLICIES, EpisodeSet
 from ptne_env.evaluation.comparison import Job
@@ -153,6 +153,13 @@ def test_what_is_trained_gives_a_row_and_the_best_seed_on_validation_episodes_sh
     assert line.startswith(f"| rounding | {algorithm} | {np.mean(means):.2f} [")
     gained = f"{np.mean(seeds) / 200:.2f}"
     assert line.endswith(f"| {np.std(means, ddof=1):.2f} | {len(seeds)} | {budget // 10**6} M | 1.5 | {gained} |")
+
+
+def test_a_training_without_a_mechanism_lacks_the_worlds_that_have_it():
+    every = {track.name for track in learned.worlds()}
+    left_out = {name: len(every) - len({track.name for track in learned.worlds(name)}) for name in learned.LEFT_OUT}
+    assert left_out == {"nothing": 0, "liar": 5, "rounding": 9, "short-deadline": 2, "coupled": 2}
+    assert {*left_out} - {"nothing"} <= {track.name for track in get_suite("ptne-v1").tracks}
 
 
 def test_a_name_with_a_comma_survives_the_file_of_results(tmp_path):
