@@ -109,9 +109,8 @@ def _weight_shapes(hidden: int, slot_hidden: int) -> dict[str, tuple[int, ...]]:
     }
 
 
-def initial_memory(weights: Weights, layout: ObservationLayout, players: int, xp: Any = np) -> PlayerMemory:
-    """Return the memory of players at the start of an episode, in arrays of the library ``xp``."""
-    n, slots = layout.dimension, layout.slots
+def initial_memory(weights: Weights, slots: int, n: int, players: int, xp: Any = np) -> PlayerMemory:
+    """Return the memory of players with so many slots at the start of an episode, in arrays of the library ``xp``."""
     hidden, slot_hidden = weights["again"].shape[-1], weights["slot_again"].shape[-1]
     sizes: dict[str, tuple[int, ...]] = {"hidden": (hidden, n), "slot_hidden": (slot_hidden, slots, n)}
     sizes |= {"relative": (slots, n), "heard": (slots,), "largest": (2,), "log_scale": (), "started": ()}
@@ -278,6 +277,10 @@ def check_weights(weights: Weights) -> None:
         raise ValueError("its weights have other shapes")
 
 
+FEWEST_ROWS, CELLS = 32, 2500
+"""The rows of a block whose arrays fit the cache: so many, or more if these have fewer components of messages."""
+
+
 class RecurrentPolicy(RowPolicy):
     """A recurrent network that numpy runs.
 
@@ -306,24 +309,47 @@ class RecurrentPolicy(RowPolicy):
         other = RecurrentPolicy(self.name, self.weights, layout, self.training)
         return super(RecurrentPolicy, other).with_layout(layout)
 
-    def select_rows(self, mask: BoolArray, fresh: PlayerMemory, old: PlayerMemory) -> PlayerMemory:
-        """Return the memory with the players of ``fresh`` in a mask, whose arrays have players last."""
-        return {name: np.where(mask, fresh[name], value) for name, value in old.items()}
-
     def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - it is deterministic
-        """Return the actions (R, n) and the memory, whose ``gates`` are the shares that players copied, (D, n, R).
+        """Return the actions (R, n), and a memory for each block of rows.
+
+        Its ``gates`` are the shares of the difference to each neighbour that players copied, (D, n, M).
 
         Raises:
             LayoutError: when the policy was given no layout.
+            ValueError: when the memory is that of other players.
         """
         layout = self._layout
         if layout is None:
             raise LayoutError(f"policy {self.name!r} was loaded without a layout: use load(path, env.layout)")
-        columns = np.ascontiguousarray(rows.T)
-        player = columns[layout.slices["player"]].argmax(0)
+        player, n = rows[:, layout.slices["player"]].argmax(1), layout.dimension
+        blocks = _split(np.maximum(layout.neighbour_components.any(axis=2).sum(axis=1), 1)[player], n)
+        shapes = [(slots, n, len(block)) for block, slots in blocks]
         if memory is None:
-            memory = initial_memory(self.weights, layout, len(rows))
-        elif starts.any():
-            memory = self.select_rows(starts, {name: np.zeros_like(value) for name, value in memory.items()}, memory)
-        inputs, memory, gates = run_network(self.weights, layout, read(layout, columns, player), memory)
-        return inputs.T.copy(), memory | {"gates": gates}
+            memory = [initial_memory(self.weights, *shape) for shape in shapes]
+        elif [each["relative"].shape for each in memory] != shapes:
+            raise ValueError("the memory is that of other players; pass state=None to start afresh")
+        actions, after = np.empty((len(rows), n), np.float32), []
+        for (block, slots), before in zip(blocks, memory, strict=True):
+            known, begins = before, starts[block]
+            if begins.any():
+                known = {name: np.where(begins, np.float32(0), each) for name, each in before.items()}
+            seen = read(layout, np.ascontiguousarray(rows[block].T), player[block])
+            filled = {name: getattr(seen, name)[:slots] for name in ("relative", "live", "leads")}
+            inputs, known, gates = run_network(self.weights, layout, seen._replace(**filled), known)
+            actions[block] = inputs.T
+            after.append(known | {"gates": gates})
+        return actions, after
+
+
+def _split(slots: npt.NDArray[np.int64], n: int) -> list[tuple[npt.NDArray[np.int64], int]]:
+    """Split rows into blocks of players with equally many neighbours, since empty slots would take as much time.
+
+    Args:
+        slots: the number of slots of each player that are filled, which are the first ones, (R,).
+        n: the length of an estimate.
+    """
+    blocks = []
+    for count in np.unique(slots).tolist():
+        rows, size = np.flatnonzero(slots == count), max(FEWEST_ROWS, CELLS // (count * n))
+        blocks += [(block, count) for block in np.split(rows, range(size, len(rows), size))]
+    return blocks

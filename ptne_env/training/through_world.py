@@ -100,7 +100,7 @@ class Lesson:
         self._count, self._key = 0, key
         self._team = Team(track, self.world)
         weights = initial_weights(np.random.default_rng(0), settings.hidden, settings.slot_hidden)
-        memory = initial_memory(weights, layout, len(self._player), jnp)
+        memory = initial_memory(weights, layout.slots, layout.dimension, len(self._player), jnp)
         self._carry = self.world.reset(key, self.envs), memory
         self._compiled_advance = jax.jit(self._advance, donate_argnums=(1,))
 

@@ -32,7 +32,7 @@ def test_the_network_is_the_same_in_numpy_and_jax():
     encoder = Encoder(world.numpy, layout.interface)
     state = dynamics.draw_initial_state(world.numpy, [RandomStreams.from_seed(seed) for seed in range(3)])
     player, memory = np.repeat(np.arange(5), 3), None
-    memories = recurrent.initial_memory(WEIGHTS, layout, 15, jax.numpy)
+    memories = recurrent.initial_memory(WEIGHTS, layout.slots, layout.dimension, 15, jax.numpy)
 
     @jax.jit
     def play(observed, memories):

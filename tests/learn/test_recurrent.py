@@ -35,6 +35,32 @@ def test_one_file_plays_worlds_of_any_size_and_its_episodes_start_afresh(scenari
     assert (mixed[0] != going_on[0]).any()
 
 
+@pytest.mark.parametrize("graph", ["star", "path", "cycle"])
+def test_empty_slots_decide_nothing_though_they_are_left_out(graph):
+    topology, game = (FactorySpec.of(name, players=9) for name in (f"topology:{graph}", "game:random-energy"))
+    env = ptne_env.parallel_env("random-energy", game=game, topology=topology, interface="physical")
+    layout, memory, whole = env.layout, None, recurrent.initial_memory(WEIGHTS, env.layout.slots, 9, 9)
+    policy, (observations, _) = opened().with_layout(layout), env.reset(seed=0)
+    for _ in range(3):
+        rows = np.stack(list(observations.values()))
+        actions, memory = policy.predict(rows, memory)
+        expected, whole, _ = recurrent.run_network(WEIGHTS, layout, recurrent.read(layout, rows.T, np.arange(9)), whole)
+        np.testing.assert_allclose(actions, expected.T, rtol=1e-3, atol=1e-5 * np.abs(expected).max())
+        observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
+    assert sum(block["hidden"].shape[-1] for block in memory) == 9
+
+
+def test_the_memory_of_other_players_is_refused():
+    star = FactorySpec.of("topology:star", players=5)
+    env = ptne_env.parallel_env("random-energy", topology=star, interface="physical")
+    policy = opened().with_layout(env.layout)
+    rows = np.stack(list(env.reset(seed=0)[0].values()))
+    _, memory = policy.predict(rows)
+    for others in (rows[:3], rows[1:], np.repeat(rows[:1], 5, axis=0)):
+        with pytest.raises(ValueError, match="other players; pass state=None"):
+            policy.predict(others, memory)
+
+
 def test_a_player_knows_where_a_wall_of_its_box_holds_it():
     scenario = get_suite("ptne-v1").track("uneven-box").scenario.replace(disturbance=None)
     env = ptne_env.parallel_env(scenario, interface="physical")
@@ -46,7 +72,8 @@ def test_a_player_knows_where_a_wall_of_its_box_holds_it():
         observations, *_ = env.step(dict(zip(env.agents, actions, strict=True)))
     at_a_wall = (np.abs(rows[:, env.layout.slices["own_estimate"]]) == 5) & env.layout.own_mask
     assert at_a_wall.any()
-    np.testing.assert_array_equal(memory["held"].T, at_a_wall)
+    (block,) = memory
+    np.testing.assert_array_equal(block["held"].T, at_a_wall)
 
 
 def test_actions_do_not_depend_on_the_unit_of_costs():
@@ -83,8 +110,8 @@ def test_a_neighbour_is_known_by_all_that_it_says():
     other = rows.copy()
     other[0, env.layout.slices["relative_estimates"].start] /= 2  # not the largest difference, which sets the scale
     for policy, first, second in zip(policies, (rows, other), (other, rows), strict=True):
-        before = policy.predict(rows, policy.predict(rows)[1])[1]["gates"]
-        after = policy.predict(second, policy.predict(first)[1])[1]["gates"]
+        before = policy.predict(rows, policy.predict(rows)[1])[1][0]["gates"]
+        after = policy.predict(second, policy.predict(first)[1])[1][0]["gates"]
         shares = [each[0, 1:, 0] / each[1, 1:, 0] for each in (before, after)]  # of attention, whatever the amplitude
         assert (np.abs(shares[0] - shares[1]) > 1e-4 * shares[0]).all()
         np.testing.assert_array_equal(before[..., 1:], after[..., 1:])
