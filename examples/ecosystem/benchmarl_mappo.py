@@ -4,14 +4,19 @@ The task and ``make_policy`` may be copied as they are. BenchMARL pins an older 
 environment of its own: pip install -r examples/ecosystem/requirements/benchmarl.txt
 
 Run it with: python examples/ecosystem/benchmarl_mappo.py
+or, as a witness of ``ptne train TRACK --steps STEPS``, whose settings it then has, with:
+python examples/ecosystem/benchmarl_mappo.py TRACK STEPS ippo
 """
 
+import math
+import sys
+from collections.abc import Callable
 from functools import partial
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
-from benchmarl.algorithms import MappoConfig
+from benchmarl.algorithms import IppoConfig, MappoConfig
 from benchmarl.environments import TaskClass
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
@@ -22,8 +27,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from yardstick import EPISODES, LAW, SCENARIO, digits, report
 
 from ptne_env.envs.torchrl import GROUP, TorchRLEnv
-from ptne_env.perception.policy import NetworkPolicy
+from ptne_env.perception.policy import NetworkPolicy, Policy
 from ptne_env.shared.arrays import Float32Array
+from ptne_env.training.configuration import Configuration
+from ptne_env.world.catalogue import get_scenario
 from ptne_env.world.world import World
 
 
@@ -88,25 +95,33 @@ def make_policy(experiment: Experiment) -> NetworkPolicy:
     return NetworkPolicy(decide, made_for, experiment.algorithm_name)
 
 
-def train(task: NashSeekingTask, num_envs: int) -> tuple[float, float]:
-    """Return the digits before and after a short training."""
+def train(
+    task: NashSeekingTask, configuration: Configuration, algorithm: str, measure: Callable[[Policy], float]
+) -> tuple[float, float]:
+    """Return the digits before and after a training by ``"mappo"`` or ``"ippo"`` with the settings of ``ptne train``.
+
+    A frame is a step of all players of an environment.
+    """
     check_env_specs(make(task, 2))
     config = ExperimentConfig.get_from_yaml()
-    config.gamma, config.lr = 0.9, 1e-3
-    config.on_policy_n_envs_per_worker = num_envs
-    config.on_policy_collected_frames_per_batch = 800
-    config.on_policy_n_minibatch_iters, config.on_policy_minibatch_size = 5, 100
-    config.max_n_frames = 6400
+    players = World(get_scenario(configuration.scenario)).game.num_players
+    environments = configuration.environments(players)
+    frames = environments * configuration.rollout
+    config.gamma, config.lr = configuration.discount, configuration.learning_rate
+    config.on_policy_n_envs_per_worker, config.on_policy_collected_frames_per_batch = environments, frames
+    config.on_policy_n_minibatch_iters = configuration.epochs
+    config.on_policy_minibatch_size = frames // configuration.minibatches
+    config.max_n_frames = configuration.steps // players
     config.evaluation, config.loggers, config.create_json = False, [], False
-    algorithm = MappoConfig.get_from_yaml()
-    algorithm.scale_mapping = "biased_softplus_0.4"
-    model = MlpConfig(num_cells=[64, 64], layer_class=torch.nn.Linear, activation_class=torch.nn.Tanh)
+    learner = {"mappo": MappoConfig, "ippo": IppoConfig}[algorithm].get_from_yaml()
+    learner.scale_mapping = f"biased_softplus_{math.exp(configuration.log_std):.2g}"
+    model = MlpConfig(num_cells=configuration.hidden, layer_class=torch.nn.Linear, activation_class=torch.nn.Tanh)
     with TemporaryDirectory() as folder:
         config.save_folder = folder
-        experiment = Experiment(task, algorithm, model, seed=0, config=config)
-        before = digits(make_policy(experiment))
+        experiment = Experiment(task, learner, model, seed=configuration.seed, config=config)
+        before = measure(make_policy(experiment))
         experiment.run()
-        return before, digits(make_policy(experiment))
+        return before, measure(make_policy(experiment))
 
 
 def make(task: NashSeekingTask, num_envs: int) -> EnvBase:
@@ -118,8 +133,18 @@ def main() -> None:
     """Run TorchRL's check, and print the law's digits and those of a short training."""
     task = {"scenario": SCENARIO}
     gained = law_digits(make(NashSeekingTask("law", task | LAW), EPISODES))
-    report(gained, *train(NashSeekingTask("mappo", task), 8))
+    short = Configuration(
+        SCENARIO, steps=32_000, batch=4_000, rollout=100, minibatches=8, epochs=5, learning_rate=1e-3, discount=0.9
+    )
+    report(gained, *train(NashSeekingTask("mappo", task), short, "mappo", digits))
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:]:
+        track, steps, algorithm = sys.argv[1:]
+        measure = partial(digits, scenario=track, episodes=200)
+        task = NashSeekingTask("witness", {"scenario": track})
+        _, after = train(task, Configuration(track, steps=int(steps)), algorithm, measure)
+        print(f"{after:.2f} validation digits")
+    else:
+        main()

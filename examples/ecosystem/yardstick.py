@@ -32,12 +32,16 @@ def policy_of(act: Callable[[np.ndarray], np.ndarray]) -> Policy:
     return NetworkPolicy(lambda rows, memory, *_: (act(rows), memory))
 
 
-def digits(policy: Policy, interface: Interface = Interface()) -> float:  # noqa: B008 - it is frozen
-    """Return the mean digits at the deadline over 20 games outside of the training."""
+def digits(
+    policy: Policy,
+    interface: Interface = Interface(),  # noqa: B008 - it is frozen
+    scenario: str = SCENARIO,
+    episodes: int = 20,
+) -> float:
+    """Return the mean digits at the deadline over games outside of the training."""
     spec = PolicySpec("policy", policy, interface)
-    scenario = ptne_env.get_scenario(SCENARIO)
-    results = ptne_env.evaluate([spec], [scenario], episodes=20, split="validation")
-    return float(results.record(SCENARIO, "policy", "digits")["mean"])
+    results = ptne_env.evaluate([spec], scenario, episodes=episodes, split="validation")
+    return float(results.samples[scenario, "policy"]["digits"].mean())
 
 
 def joint_digits(act: Callable[[np.ndarray], np.ndarray]) -> float:
