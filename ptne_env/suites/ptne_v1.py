@@ -139,7 +139,7 @@ TRACKS = (
         slots=None,
         gain=2.0,
         steps=200,
-        episodes=5,
+        episodes=10,
     ),
 )
 
