@@ -19,6 +19,7 @@ import ptne_env
 from ptne_env.cli import app
 from ptne_env.evaluation.trajectories import ARRAYS
 from ptne_env.shared.parts import FactorySpec
+from ptne_env.suites import get_suite
 from ptne_env.world.catalogue import CATALOGUE
 from ptne_env.world.rewards import TERMS
 
@@ -218,6 +219,13 @@ def test_observation_table_is_the_layout(kind, column):
 def test_scenarios_of_the_table_are_in_the_catalogue():
     """A new scenario need not have a row: ``ptne list`` explains all of them."""
     assert {row[0].split("`")[1] for row in table(ENVIRONMENT, "Scenario")} <= set(CATALOGUE)
+
+
+def test_the_protocol_has_the_numbers_of_episodes_of_tracks():
+    said = " ".join((ROOT / "docs/protocol.md").read_text(encoding="utf-8").split())
+    own = [f"{track.episodes} of `{track.name}`" for track in get_suite("ptne-v1").tracks if track.episodes]
+    assert own
+    assert f"{get_suite('ptne-v1').episodes} episodes per track ({', '.join(own)})" in said
 
 
 def test_the_table_of_frameworks_has_the_versions_that_make_ecosystem_installs():
