@@ -112,9 +112,12 @@ def train(
     config.on_policy_n_minibatch_iters = configuration.epochs
     config.on_policy_minibatch_size = frames // configuration.minibatches
     config.max_n_frames = configuration.steps // players
+    config.clip_grad_val, config.adam_eps = 0.5, 1e-5
     config.evaluation, config.loggers, config.create_json = False, [], False
     learner = {"mappo": MappoConfig, "ippo": IppoConfig}[algorithm].get_from_yaml()
     learner.scale_mapping = f"biased_softplus_{math.exp(configuration.log_std):.2g}"
+    # Actions near the limits have no finite probability density where a tangent squashes them.
+    learner.use_tanh_normal, learner.minibatch_advantage, learner.critic_coef = False, True, 0.5
     model = MlpConfig(num_cells=configuration.hidden, layer_class=torch.nn.Linear, activation_class=torch.nn.Tanh)
     with TemporaryDirectory() as folder:
         config.save_folder = folder

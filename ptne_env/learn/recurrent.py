@@ -309,8 +309,15 @@ class RecurrentPolicy(RowPolicy):
         other = RecurrentPolicy(self.name, self.weights, layout, self.training)
         return super(RecurrentPolicy, other).with_layout(layout)
 
+    def select_rows(self, mask: BoolArray, fresh: list[PlayerMemory], old: list[PlayerMemory]) -> list[PlayerMemory]:
+        """Return the memory with the rows of ``fresh`` in a mask, (R,), and those of ``old`` elsewhere."""
+        return [
+            {name: np.where(mask[new["rows"]], new[name], before[name]) for name in new}
+            for new, before in zip(fresh, old, strict=True)
+        ]
+
     def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - it is deterministic
-        """Return the actions (R, n), and a memory for each block of rows.
+        """Return the actions (R, n), and a memory for each block of ``rows`` (M,).
 
         Its ``gates`` are the shares of the difference to each neighbour that players copied, (D, n, M).
 
@@ -323,10 +330,9 @@ class RecurrentPolicy(RowPolicy):
             raise LayoutError(f"policy {self.name!r} was loaded without a layout: use load(path, env.layout)")
         player, n = rows[:, layout.slices["player"]].argmax(1), layout.dimension
         blocks = _split(np.maximum(layout.neighbour_components.any(axis=2).sum(axis=1), 1)[player], n)
-        shapes = [(slots, n, len(block)) for block, slots in blocks]
         if memory is None:
-            memory = [initial_memory(self.weights, *shape) for shape in shapes]
-        elif [each["relative"].shape for each in memory] != shapes:
+            memory = [initial_memory(self.weights, slots, n, len(block)) for block, slots in blocks]
+        elif [(len(each["heard"]), *each["rows"]) for each in memory] != [(slots, *block) for block, slots in blocks]:
             raise ValueError("the memory is that of other players; pass state=None to start afresh")
         actions, after = np.empty((len(rows), n), np.float32), []
         for (block, slots), before in zip(blocks, memory, strict=True):
@@ -337,7 +343,7 @@ class RecurrentPolicy(RowPolicy):
             filled = {name: getattr(seen, name)[:slots] for name in ("relative", "live", "leads")}
             inputs, known, gates = run_network(self.weights, layout, seen._replace(**filled), known)
             actions[block] = inputs.T
-            after.append(known | {"gates": gates})
+            after.append(known | {"gates": gates, "rows": block})
         return actions, after
 
 
