@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from benchmarl.algorithms import IppoConfig, MappoConfig
 from benchmarl.environments import TaskClass
-from benchmarl.experiment import Experiment, ExperimentConfig
+from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models.mlp import MlpConfig
 from tensordict import TensorDict
 from tensordicts import law_digits
@@ -95,6 +95,17 @@ def make_policy(experiment: Experiment) -> NetworkPolicy:
     return NetworkPolicy(decide, made_for, experiment.algorithm_name)
 
 
+class FallingRate(Callback):
+    """A learning rate that falls to 0, along a cosine."""
+
+    def on_train_end(self, training_td: TensorDict, group: str) -> None:
+        done = self.experiment.total_frames / self.experiment.config.max_n_frames
+        rate = self.experiment.config.lr * (1 + math.cos(math.pi * min(done, 1))) / 2
+        for optimizer in self.experiment.optimizers[group].values():
+            for parameters in optimizer.param_groups:
+                parameters["lr"] = rate
+
+
 def train(
     task: NashSeekingTask, configuration: Configuration, algorithm: str, measure: Callable[[Policy], float]
 ) -> tuple[float, float]:
@@ -121,7 +132,8 @@ def train(
     model = MlpConfig(num_cells=configuration.hidden, layer_class=torch.nn.Linear, activation_class=torch.nn.Tanh)
     with TemporaryDirectory() as folder:
         config.save_folder = folder
-        experiment = Experiment(task, learner, model, seed=configuration.seed, config=config)
+        callbacks = [FallingRate()]
+        experiment = Experiment(task, learner, model, seed=configuration.seed, config=config, callbacks=callbacks)
         before = measure(make_policy(experiment))
         experiment.run()
         return before, measure(make_policy(experiment))
