@@ -17,7 +17,6 @@ from statistics import fmean
 from baselines import edge_cases, pages
 from baselines.published import (
     ALL,
-    FAILED,
     LEAD,
     MINUS_PAPER,
     PPO,
@@ -71,13 +70,17 @@ def differences_of(results: Results, label: str, tracks: Sequence[str]) -> Itera
 
 
 def rows_of(results: Results) -> Iterable[Row]:
-    """The rows of ``results.csv``: the metrics above, paired differences, and the leaderboard of a suite."""
+    """The rows of ``results.csv``: the metrics above, paired differences, and the leaderboard of a suite.
+
+    Raises:
+        RuntimeError: when an entry raised an error, or answered in another form: that is a fault of ours.
+    """
+    for (track, policy), reason in results.failures.items():
+        raise RuntimeError(f"{policy} fails on {track} of {results.name}, so nothing is published: {reason}")
     for record in results.records:
         if record["metric"] in METRICS and record["mean"] is not None:
             texts = {key: str(value) for key, value in record.items()}
             yield {"suite": results.name, **texts, **interval_of(record)}
-    for track, policy in results.failures:
-        yield {"suite": results.name, "track": track, "policy": policy, "metric": FAILED, "mean": "1"}
     for track in results.tracks:
         yield from differences_of(results, track.name, [track.name])
     board = leaderboard(results)
@@ -93,7 +96,7 @@ def rows_of(results: Results) -> Iterable[Row]:
 
 def rows_of_worlds(results: Results) -> Iterable[Row]:
     """Those of :func:`rows_of` that tables of random worlds show, without shares that are 0."""
-    shown = ("digits", MINUS_PAPER, "diverged_share", FAILED)
+    shown = ("digits", MINUS_PAPER, "diverged_share")
     rows = [row for row in rows_of(results) if row["metric"] in shown and row["track"] != ALL]
     return [row for row in rows if (row["metric"], row["mean"]) != ("diverged_share", "0")]
 

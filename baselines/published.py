@@ -32,9 +32,6 @@ COLUMNS = ("suite", "track", "policy", "metric", *INTERVAL, "episodes")
 SEEN, *FRESH = WORLDS = {"robustness": 1, "robustness-2": 2, "robustness-3": 3, "robustness-4": 4}
 """The suites of random worlds, and their seeds: on those of seed 1 laws may be tuned, the others are fresh."""
 
-FAILED = "failed"
-"""The metric that is 1 where a policy raised an error, or answered in another form."""
-
 TRAINED, PPO = "recurrent-random-worlds", "ppo"
 SHOWN = (
     *("static", "grounded", "routed-unknown", "relay", PPO, TRAINED),
@@ -216,12 +213,12 @@ def best_on(numbers: Published, suite: str, world: str) -> tuple[str, float]:
 
 
 def fails(numbers: Published, suite: str, world: str, policy: str) -> bool:
-    """Whether the paper's law leads a policy in the same episodes, or the policy diverges more often or has failed."""
+    """Whether the paper's law leads a policy in the same episodes, or the policy diverges more often."""
     difference = summary(numbers.cell(suite, world, policy, MINUS_PAPER))
     is_worse = difference is not None and difference.high is not None and difference.high < 0
     diverged = numbers.by_policy(suite, world, "diverged_share")
     share, paper = (float(diverged[name]["mean"]) if name in diverged else 0.0 for name in (policy, "static"))
-    return is_worse or share > paper or numbers.cell(suite, world, policy, FAILED) is not None
+    return is_worse or share > paper
 
 
 def failures(numbers: Published, suites: Iterable[str], policy: str) -> list[tuple[str, str]]:
@@ -231,18 +228,14 @@ def failures(numbers: Published, suites: Iterable[str], policy: str) -> list[tup
 
 
 def shortfalls(numbers: Published, suites: Sequence[str]) -> str:
-    """How far each policy stays behind the best one of each random world, the least mean shortfall first.
-
-    Where a policy has failed, it counts as standing still.
-    """
+    """How far each policy stays behind the best one of each random world, the least mean shortfall first."""
     rows = []
     for policy in dict.fromkeys(name for suite in suites for name in numbers.names("policy", suite)):
         behind = [
             best_on(numbers, suite, world)[1] - float(cell["mean"])
             for suite in suites
             for world in numbers.names("track", suite)
-            for failed in [numbers.cell(suite, world, policy, FAILED)]
-            if (cell := numbers.cell(suite, world, policy if failed is None else "zero-input")) is not None
+            if (cell := numbers.cell(suite, world, policy)) is not None
         ]
         if behind and policy != "oracle":
             near, count = sum(shortfall <= NEAR for shortfall in behind), len(failures(numbers, suites, policy))
