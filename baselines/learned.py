@@ -199,7 +199,7 @@ def train(seeds: list[int], out: Path, without: str | None) -> None:
         if done % 50 == 0:
             print(f"seed {seed}: {done}/{total}, {digits:.3f} digits", flush=True)
 
-    name, updates, tracks = TRAINED, SETTINGS["updates"], worlds(without if without in LEFT_OUT else None)
+    name, updates, tracks = TRAINED, SETTINGS["updates"], worlds(None if without == "nothing" else without)
     if without is not None:
         name, updates = f"{TRAINED}-without-{without}", updates // 4
     for seed in seeds:

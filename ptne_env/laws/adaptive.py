@@ -61,8 +61,7 @@ class Adaptive(Law):
 
     def gains(self, memory: FloatArray) -> FloatArray:
         """Return κ_ij of every link, in both directions."""
-        neighbours = np.array(self.layout.neighbours)
-        return np.asarray((memory + self.surplus)[neighbours != np.arange(len(neighbours))[:, None]])
+        return np.asarray((memory + self.surplus)[self.layout.filled_slots])
 
 
 def _of_links(name: str, numbers: npt.ArrayLike, layout: ObservationLayout) -> FloatArray:

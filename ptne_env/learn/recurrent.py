@@ -329,7 +329,7 @@ class RecurrentPolicy(RowPolicy):
         if layout is None:
             raise LayoutError(f"policy {self.name!r} was loaded without a layout: use load(path, env.layout)")
         player, n = rows[:, layout.slices["player"]].argmax(1), layout.dimension
-        blocks = _split(np.maximum(layout.neighbour_components.any(axis=2).sum(axis=1), 1)[player], n)
+        blocks = _split(np.maximum(layout.filled_slots.sum(axis=1), 1)[player], n)
         if memory is None:
             memory = [initial_memory(self.weights, slots, n, len(block)) for block, slots in blocks]
         elif [(len(each["heard"]), *each["rows"]) for each in memory] != [(slots, *block) for block, slots in blocks]:

@@ -235,9 +235,12 @@ class ObservationLayout:
     @cached_property
     def neighbour_components(self) -> BoolArray:
         """Whether component c belongs to the neighbour in slot d of player i, shape (N, D, n)."""
-        neighbours = np.array(self.neighbours)
-        is_padded = neighbours == np.arange(self.num_players)[:, None]
-        return self.own_mask[neighbours] & ~is_padded[:, :, None]
+        return self.own_mask[np.array(self.neighbours)] & self.filled_slots[:, :, None]
+
+    @cached_property
+    def filled_slots(self) -> BoolArray:
+        """Whether slot d of player i is that of a neighbour, shape (N, D); empty slots come last."""
+        return np.array(self.neighbours) != np.arange(self.num_players)[:, None]
 
     @cached_property
     def own_mask(self) -> BoolArray:
