@@ -37,6 +37,23 @@ def _energy(players: int) -> FactorySpec:
     return part("game:random-energy", players=players, coupling=(0.25 / players, 1.5 / players))
 
 
+def _affine(players: int, **arguments: Any) -> FactorySpec:
+    return part("game:random-affine", players=players, **arguments)
+
+
+def _saturating(players: int, bend: float) -> FactorySpec:
+    return part("game:random-saturating", affine=_affine(players), bend=bend)
+
+
+def _coupled(firms: int) -> FactorySpec:
+    return part("game:coupled", game=_energy(firms), lines=3)
+
+
+def _within(largest: float) -> dict[str, Any]:
+    """Starts within a range, and messages within five times that."""
+    return {"start": part("start:uniform", low=-largest, high=largest), "message_range": 5 * largest}
+
+
 def _noisy(std: float, *stages: FactorySpec) -> FactorySpec:
     return part("channel:chain", stages=[*stages, part("channel:noise", std=std)])
 
@@ -74,8 +91,8 @@ def _dozen(name: str, offsets: tuple[int, ...], **changes: Any) -> Track:
 WORLDS = (
     _world("stranger-of-five", 5, kappa=0.3, channel=_noisy(0.008)),
     _world("stranger-of-seven", 7, kappa=0.5, channel=_noisy(0.015), topology=_graphs(7, 0.35)),
-    _dozen("wide", (1, 3), game=part("game:random-affine", players=12, action_dim=(3,) * 12)),
-    _dozen("wide-ring", (1,), game=part("game:random-affine", players=12, action_dim=(4,) * 12)),
+    _dozen("wide", (1, 3), game=_affine(12, action_dim=(3,) * 12)),
+    _dozen("wide-ring", (1,), game=_affine(12, action_dim=(4,) * 12)),
     _world("clean", 4, channel="perfect", message_range=None),
     _world("cycle-physical", 6, topology=_cycle(6, 3, 0.09), channel=_noisy(0.002)),
     _world("cycle-of-four", 4, topology=_cycle(4, 2, 0.13), channel=_noisy(0.001)),
@@ -92,46 +109,23 @@ WORLDS = (
     _world("short-six", 6, deadline=0.1, steps=28, input_limit=7.0, topology=_graphs(6, 0.35), channel=_noisy(0.002)),
     _world("stranger", 6, kappa=0.8, channel=_noisy(0.02)),
     _world("stranger-of-four", 4, kappa=0.2, channel=_noisy(0.005)),
-    _world(
-        "monotone",
-        4,
-        game=part("game:random-affine", players=4, epsilon=0.0),
-        start=part("start:uniform", low=-8.0, high=8.0),
-        message_range=40.0,
-    ),
-    _world("bent", 6, game=part("game:random-saturating", affine=part("game:random-affine", players=6), bend=10.0)),
-    _world(
-        "monotone-six",
-        6,
-        game=part("game:random-affine", players=6, epsilon=0.0),
-        start=part("start:uniform", low=-12.0, high=12.0),
-        message_range=60.0,
-        channel=_noisy(0.001),
-    ),
-    _world(
-        "bent-four",
-        4,
-        game=part("game:random-saturating", affine=part("game:random-affine", players=4), bend=15.0),
-        channel=_noisy(0.001),
-    ),
-    _world(
-        "box",
-        4,
-        game=part("game:random-affine", players=4, action_dim=(2, 1, 3, 1), low=-4.0, high=6.0),
-        channel=_noisy(0.05),
-    ),
+    _world("monotone", 4, game=_affine(4, epsilon=0.0), **_within(8.0)),
+    _world("bent", 6, game=_saturating(6, bend=10.0)),
+    _world("monotone-six", 6, game=_affine(6, epsilon=0.0), channel=_noisy(0.001), **_within(12.0)),
+    _world("bent-four", 4, game=_saturating(4, bend=15.0), channel=_noisy(0.001)),
+    _world("box", 4, game=_affine(4, action_dim=(2, 1, 3, 1), low=-4.0, high=6.0), channel=_noisy(0.05)),
     _world(
         "box-six",
         6,
-        game=part("game:random-affine", players=6, action_dim=(1, 3, 1, 2, 2, 1), low=-6.0, high=4.0),
+        game=_affine(6, action_dim=(1, 3, 1, 2, 2, 1), low=-6.0, high=4.0),
         topology=_graphs(6, 0.35),
         channel=_noisy(0.02),
     ),
-    _world("coupled", 5, game=part("game:coupled", game=_energy(4), lines=3), message_range=120.0),
+    _world("coupled", 5, game=_coupled(4), message_range=120.0),
     _world(
         "coupled-six",
         7,
-        game=part("game:coupled", game=_energy(6), lines=3),
+        game=_coupled(6),
         topology=_graphs(7, 0.35),
         message_range=120.0,
         channel=_noisy(0.001),

@@ -239,8 +239,7 @@ def shortfalls(numbers: Published, suites: Sequence[str]) -> str:
         ]
         if behind and policy != "oracle":
             near, count = sum(shortfall <= NEAR for shortfall in behind), len(failures(numbers, suites, policy))
-            mean = estimate([np.array([behind])])
-            interval = with_interval({key: "" if end is None else str(end) for key, end in vars(mean).items()})
+            interval = with_interval(interval_of(estimate([np.array([behind])])))
             cells = [POLICIES[policy].label, str(count), f"{near} of {len(behind)}", interval, f"{max(behind):.2f}"]
             rows.append((sum(behind) / len(behind), cells))
     headings = ["policy", "failures", f"within {NEAR} of the best", "mean shortfall", "worst shortfall"]

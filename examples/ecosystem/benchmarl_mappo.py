@@ -129,7 +129,7 @@ def train(
     learner.scale_mapping = f"biased_softplus_{math.exp(configuration.log_std):.2g}"
     # Actions near the limits have no finite probability density where a tangent squashes them.
     learner.use_tanh_normal, learner.minibatch_advantage, learner.critic_coef = False, True, 0.5
-    model = MlpConfig(num_cells=configuration.hidden, layer_class=torch.nn.Linear, activation_class=torch.nn.Tanh)
+    model = MlpConfig(num_cells=configuration.hidden, layer_class=torch.nn.Linear, activation_class=torch.nn.ReLU)
     with TemporaryDirectory() as folder:
         config.save_folder = folder
         callbacks = [FallingRate()]

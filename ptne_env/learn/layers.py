@@ -27,9 +27,6 @@ LAYERS = tuple(f"layer_{number}" for number in range(8))
 ACTIVATIONS = "relu", "tanh"
 """The functions that hidden layers may end with."""
 
-LAYOUT_VERSION = 1
-"""The version of the meaning of observations and actions; files of another version are refused."""
-
 
 @dataclass(frozen=True)
 class Metadata:
@@ -42,10 +39,9 @@ class Metadata:
         training: how it was trained, such as scenario, agent-steps, seed and versions; nothing depends on it.
         activation: the function of its hidden layers, one of :data:`ACTIVATIONS`.
         is_squashed: whether the outputs become actions by the hyperbolic tangent, as SAC's do; they are clipped if not.
-        layout_version: the version of the meaning of observations and actions.
 
     Raises:
-        ValueError, TypeError: when a value has a wrong type, is out of range, or is of another layout version.
+        ValueError, TypeError: when a value has a wrong type or is out of range.
     """
 
     interface: Interface
@@ -54,7 +50,6 @@ class Metadata:
     training: Mapping[str, Any]
     activation: str = "relu"
     is_squashed: bool = False
-    layout_version: int = LAYOUT_VERSION
 
     def __post_init__(self) -> None:
         require_count("slots", self.slots, 0)
@@ -63,11 +58,6 @@ class Metadata:
         if self.activation not in ACTIVATIONS:
             raise ValueError(f"activation must be {' or '.join(ACTIVATIONS)}, got {self.activation!r}")
         require_flag("is_squashed", self.is_squashed)
-        if self.layout_version != LAYOUT_VERSION:
-            raise ValueError(
-                f"the policy was made for layout version {self.layout_version}, this library has {LAYOUT_VERSION}; "
-                "use the version of ptne_env that made it, or train it again"
-            )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the description as a JSON object."""

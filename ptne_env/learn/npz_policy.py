@@ -20,6 +20,7 @@ LARGEST_UNPACKED = 16 << 20
 """The largest number of bytes to which a file may unpack; the shipped ones have 30 to 280 kB."""
 
 _DESCRIPTION, _VERSION = "metadata", 6
+"""The name of the description, and the version of files and of the meaning of observations and actions in them."""
 
 
 def seal(weights: Weights, training: Mapping[str, Any] | Metadata) -> bytes:
@@ -52,7 +53,9 @@ def open_policy(path: Path, content: bytes) -> RecurrentPolicy | LayeredPolicy:
         with np.load(io.BytesIO(content), allow_pickle=False) as file:
             weights = {name: file[name] for name in file.files}
         description = json.loads(weights.pop(_DESCRIPTION).tobytes())
-        _require(description["version"] == _VERSION, "it is of another version")
+        made_by = description["version"]
+        advice = "use the version of ptne_env that made it, or train it again"
+        _require(made_by == _VERSION, f"it is of version {made_by}, and {_VERSION} is expected: {advice}")
         _require(all(each.dtype == np.float32 for each in weights.values()), "its weights are not float32")
         is_layered = "layered" in description
         described = description["layered" if is_layered else "training"]

@@ -98,7 +98,10 @@ FOREIGN = {
     "nothing": (b"", ""),
     "text": (b"{}", ""),
     "cut off": (b"PK\x03\x04 a zip", ""),
-    "another version": (recurrent_with(version=9), "of another version"),
+    "another version": (
+        recurrent_with(version=9),
+        "it is of version 9, and 6 is expected: use the version of ptne_env that made it",
+    ),
     "other shapes": (recurrent_with(gate=np.zeros((1, 5), dtype=np.float32)), "other shapes"),
     "more weights": (recurrent_with(more=np.zeros(1, dtype=np.float32)), "other shapes"),
     "not a number": (recurrent_with(gate=RECURRENT["gate"] * np.nan), "not finite"),
@@ -113,10 +116,6 @@ FOREIGN = {
     "a list for an interface": (layered_with(interface=["scaled"]), ""),
     "another function": (layered_with(activation="elu"), "activation must be relu or tanh, got 'elu'"),
     "a text for a flag": (layered_with(is_squashed="no"), "is_squashed must be True or False"),
-    "another layout version": (
-        layered_with(layout_version=99),
-        "layout version 99, this library has 1; use the version of ptne_env that made it",
-    ),
     **{text[:9]: (pack_text(layered(), text), "") for text in ("{", "[]", "{}", "[" * 100_000, '{"a":' * 100_000)},
 }
 
