@@ -48,7 +48,7 @@ def train(
             "--set",
             metavar="SETTING=VALUE",
             help="Change a setting, such as learning_rate=0.001 or hidden=[128,128]; repeat for several. "
-            "docs/learning.md names them.",
+            "docs/learning.md says where they are explained.",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the network, sampling and training games.")] = 0,

@@ -41,7 +41,7 @@ _COMPARED = {
         part("law:relay"),
     ),
     "recurrent-random-worlds": (
-        "A network with memory that was trained through 76 worlds, many like the tracks with other numbers.",
+        "A network with memory that was trained through 75 worlds, many like the tracks with other numbers.",
         DATA.spec("recurrent-random-worlds"),
     ),
 }
