@@ -174,13 +174,14 @@ def headline(numbers: Published) -> str:
 
 def overall(numbers: Published) -> str:
     """Scores and ranks of all policies on ptne-v1, in the order of the leaderboard."""
+    scored = [row["policy"] for row in numbers.rows if (row["track"], row["metric"]) == (ALL, "digits")]
     rows = [
         [
             POLICIES[policy].label,
             *(with_interval(numbers.cell("ptne-v1", ALL, policy, metric)) for metric in SHOWN_METRICS),
             plain(numbers.cell("ptne-v1", ALL, policy, "rank")),
         ]
-        for policy in (row["policy"] for row in numbers.rows if lies_in(row, "ptne-v1", ALL, "digits"))
+        for policy in scored
     ]
     return markdown(["policy", "score", *HEADINGS[1:], "mean rank"], rows)
 
@@ -198,11 +199,6 @@ def algorithms(numbers: Published) -> str:
             rows.append([track, policy, with_interval(row), f"{spread:.2f}", *numbers_of_runs])
     columns = "digits", "spread", "seeds", "agent-steps", "core minutes", "last fifth gained"
     return markdown(["track", "algorithm", *columns], rows)
-
-
-def lies_in(row: Row, *place: str) -> bool:
-    """Whether a row is of a suite, track and metric."""
-    return (row["suite"], row["track"], row["metric"]) == place
 
 
 def best_on(numbers: Published, suite: str, world: str) -> tuple[str, float]:

@@ -39,60 +39,48 @@ COLUMNS = ("policy", "constants", "digits", "constants before", "digits before")
 Constants = dict[str, float]
 
 
-class Search:
-    """The search for the constants of one entry.
+def search(name: str, episodes: int, generations: int, runner: Runner) -> dict[str, str]:
+    """Search the constants of an entry, from those that it has on, and return its row of the table.
 
     Args:
         name: of the entry.
         episodes: validation episodes per track.
-        runner: runs the jobs of all candidates of a generation at once.
+        generations: of the differential evolution, whose candidates ``runner`` plays all at once.
+        runner: runs and stores jobs.
     """
+    ranges, law, suite = TUNED[name], POLICIES[name].policy, get_suite("ptne-v1")
+    own = {constant: dict(law.arguments)[constant] for constant in ranges}
+    drawn = {track: suite.episode_set(track, episodes, split="validation") for track in TRACKS}
 
-    def __init__(self, name: str, episodes: int, runner: Runner) -> None:
-        self.ranges, self.law, self.runner = TUNED[name], POLICIES[name].policy, runner
-        self.entry = {constant: dict(self.law.arguments)[constant] for constant in self.ranges}
-        suite = get_suite("ptne-v1")
-        self.tracks = [suite.track(track) for track in TRACKS]
-        self.episodes = {track: suite.episode_set(track, episodes, split="validation") for track in TRACKS}
-
-    def constants(self, point: np.ndarray) -> Constants:
-        """The constants at a point of the search, with three digits."""
-        return {name: float(f"{np.exp(value):.3g}") for name, value in zip(self.ranges, point, strict=True)}
-
-    def digits(self, candidates: Sequence[Constants]) -> np.ndarray:
+    def digits(candidates: Sequence[Constants]) -> np.ndarray:
         """The mean digits over the tracks of each candidate."""
         specs = [
-            PolicySpec(str(number), FactorySpec.of(self.law.target, **dict(self.law.arguments) | constants))
+            PolicySpec(str(number), FactorySpec.of(law.target, **dict(law.arguments) | constants))
             for number, constants in enumerate(candidates)
         ]
-        results = compare("ptne-v1", self.tracks, specs, self.episodes, self.runner)
+        results = compare("ptne-v1", [*map(suite.track, TRACKS)], specs, drawn, runner)
         return np.mean(
             [[results.record(track, spec.name, "digits")["mean"] for spec in specs] for track in TRACKS], axis=0
         )
 
-    def best(self, generations: int) -> tuple[Constants, float]:
-        """The best constants found, from those of the entry on, and their digits."""
-        found = differential_evolution(
-            lambda points: -self.digits([self.constants(point) for point in np.atleast_2d(points.T)]),
-            [tuple(np.log(limits)) for limits in self.ranges.values()],
-            x0=np.log(list(self.entry.values())),
-            popsize=5,
-            maxiter=generations,
-            polish=False,
-            rng=0,
-            vectorized=True,
-            updating="deferred",
-        )
-        return self.constants(found.x), -float(found.fun)
+    def constants_at(point: np.ndarray) -> Constants:
+        """The constants at a point of the search, with three digits."""
+        return {name: float(f"{np.exp(value):.3g}") for name, value in zip(ranges, point, strict=True)}
 
-
-def tuned(name: str, episodes: int, generations: int, runner: Runner) -> dict[str, str]:
-    """The row of the table of one entry."""
-    search = Search(name, episodes, runner)
-    constants, digits = search.best(generations)
-    (before,) = search.digits([search.entry])
-    as_text = [" ".join(f"{key}={value:g}" for key, value in each.items()) for each in (constants, search.entry)]
-    return dict(zip(COLUMNS, (name, as_text[0], f"{digits:.2f}", as_text[1], f"{before:.2f}"), strict=True))
+    found = differential_evolution(
+        lambda points: -digits([constants_at(point) for point in np.atleast_2d(points.T)]),
+        [tuple(np.log(limits)) for limits in ranges.values()],
+        x0=np.log(list(own.values())),
+        popsize=5,
+        maxiter=generations,
+        polish=False,
+        rng=0,
+        vectorized=True,
+        updating="deferred",
+    )
+    texts = [" ".join(f"{key}={value:g}" for key, value in each.items()) for each in (constants_at(found.x), own)]
+    cells = name, texts[0], f"{-found.fun:.2f}", texts[1], f"{digits([own])[0]:.2f}"
+    return dict(zip(COLUMNS, cells, strict=True))
 
 
 def main() -> None:
@@ -107,7 +95,7 @@ def main() -> None:
         parser.error(f"no constants of {', '.join(sorted(unknown))} are tuned; choose from {', '.join(TUNED)}")
     runner, rows = Runner(None, Workers(given.jobs)), []
     for name in given.law or TUNED:
-        rows.append(tuned(name, given.episodes, given.generations, runner))
+        rows.append(search(name, given.episodes, given.generations, runner))
         print(*rows[-1].values(), sep="  ", flush=True)
     if given.law:
         return

@@ -308,14 +308,8 @@ def _misprinted_coupling(experiments: Experiments) -> Claim:
     # e = −κ (L⊗I) e means (I + κL⊗I) e = 0. The matrix is positive definite, so e = 0: no coupling at all.
     smallest = float(np.linalg.eigvalsh(np.eye(5) + 10.0 * cycle(5).laplacian)[0])
     timeline = plain_timeline(experiments.ring, 100.0, samples=501)
-    printed, meant = (
-        float(
-            exact_static(
-                experiments.energy, experiments.ring, experiments.start, timeline, kappa=kappa
-            ).estimate_distance[-1]
-        )
-        for kappa in (0.0, 10.0)
-    )
+    run = experiments.energy, experiments.ring, experiments.start, timeline
+    printed, meant = (float(exact_static(*run, kappa=kappa).estimate_distance[-1]) for kappa in (0.0, 10.0))
     return decided(
         "Erratum 5a, Corollary 1's coupling",
         "e^i − e^j as printed forces e = 0 and the estimates never meet; x^i − x^j is meant",
