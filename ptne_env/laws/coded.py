@@ -75,7 +75,7 @@ class Coded(RowPolicy):
     def __init__(self, layout: ObservationLayout, policy: Any) -> None:
         if isinstance(policy, type) or not hasattr(policy, "predict"):
             policy = policy(layout)
-        for interface in (layout.interface, getattr(policy, "interface", self.interface)):
+        for interface in (layout.interface, getattr(policy, "interface", None) or self.interface):
             if interface != self.interface:
                 raise LayoutError(f"code needs a policy and a layout of {self.interface}, got {interface}")
         self.layout, self.made_for = layout, {"size": layout.size}

@@ -168,10 +168,12 @@ class LayeredPolicy(RowPolicy):
         self.made_for = {**made_for, "size": size}
 
     def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:  # noqa: ARG002 - it is deterministic
-        """Return the actions (R, n) and the memory (units, R)."""
-        if memory is None and is_recurrent(self.weights):
-            memory = np.zeros((self.weights["again"].shape[-1], len(rows)), dtype=np.float32)
-        elif starts.any() and memory is not None:
-            memory = np.where(starts, np.float32(0), memory)
-        actions, memory = run_layers(self.weights, np.ascontiguousarray(rows.T), memory, self.metadata.activation)
-        return (np.tanh(actions) if self.metadata.is_squashed else np.clip(actions, -1, 1)).T, memory
+        """Return the actions (R, n) and the memory, (R, units); a network without one returns ``memory`` as it is."""
+        hidden = None
+        if is_recurrent(self.weights):
+            if memory is None:
+                memory = np.zeros((len(rows), self.weights["again"].shape[-1]), dtype=np.float32)
+            hidden = np.ascontiguousarray(np.where(starts[:, None], np.float32(0), memory).T)
+        actions, hidden = run_layers(self.weights, np.ascontiguousarray(rows.T), hidden, self.metadata.activation)
+        actions = np.tanh(actions) if self.metadata.is_squashed else np.clip(actions, -1, 1)
+        return actions.T, memory if hidden is None else np.ascontiguousarray(hidden.T)

@@ -87,7 +87,7 @@ def test_numpy_plays_a_policy_file_as_jax_trained_it(algorithm, tmp_path):
         actions, memory = policy.predict(rows, memory, starts)
         expected, other = layers.run_layers(weights, rows.T, np.where(starts, 0, other))
         np.testing.assert_allclose(actions, np.clip(expected.T, -1, 1), rtol=1e-5, atol=1e-6)
-        alone, _ = policy.predict(rows[2:3], None if memory is None else np.zeros((6, 1), np.float32))
+        alone, _ = policy.predict(rows[2:3], None if memory is None else np.zeros((1, 6), np.float32))
         if memory is None:  # in every batch the same bits
             np.testing.assert_array_equal(alone[0], actions[2])
     assert (memory is None) == (algorithm == "ippo")

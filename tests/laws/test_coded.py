@@ -8,7 +8,9 @@ from worlds import begin, world_and_encoder
 from ptne_env import FactorySpec, evaluate, get_scenario, learn
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.laws import Coded, Static
+from ptne_env.learn.layers import LayeredPolicy, Metadata, weight_shapes
 from ptne_env.perception.observation import LayoutError
+from ptne_env.perception.policy import NetworkPolicy
 from ptne_env.suites import get_suite, leaderboard, run_suite
 from ptne_env.world import dynamics
 
@@ -51,10 +53,24 @@ def test_any_policy_wears_code_and_is_then_ranked_apart():
     assert board["recurrent-random-worlds"] == 1
 
 
-@pytest.mark.parametrize("name", ["coded-relay", "coded-network"])
-def test_players_whose_episodes_began_at_other_times_decide_as_they_would_alone(name):
+def gated(layout):
+    """A network with a gated recurrent unit, as PPO trains them, of random weights."""
+    shapes = weight_shapes(layout.size, (8, 16), layout.action_size, recurrent=True)
+    draw = np.random.default_rng(0).normal
+    weights = {name: draw(size=shape).astype(np.float32) / 10 for name, shape in shapes.items()}
+    return LayeredPolicy("gated", weights, Metadata(layout.interface, layout.action_dims, layout.slots, {}))
+
+
+def foreign(layout):
+    """A network of another library, which declares no interface."""
+    return NetworkPolicy(lambda rows, memory, *_: (np.tanh(rows[:, : layout.action_size]), memory))
+
+
+@pytest.mark.parametrize("policy", ["coded-relay", "coded-network", gated, foreign])
+def test_players_whose_episodes_began_at_other_times_decide_as_they_would_alone(policy):
     world, encoder = world_and_encoder(get_suite("ptne-v1").track("curved").scenario)
-    policy = get_policy_spec(name).build(encoder.layout)
+    layout = encoder.layout
+    policy = get_policy_spec(policy).build(layout) if isinstance(policy, str) else Coded(layout, policy)
 
     def run_alone(seed, steps):
         state, memory, rows, actions = begin(world, [seed]), None, [], []
@@ -72,6 +88,16 @@ def test_players_whose_episodes_began_at_other_times_decide_as_they_would_alone(
         starts = np.repeat([step == 0, step in (0, 31)], 5)
         actions, memory = policy.predict(np.concatenate([runs[0][0][step], first[step]]), memory, starts)
         assert np.array_equal(actions, np.concatenate([runs[0][1][step], second[step]]))
+
+
+def test_a_network_of_another_library_with_a_memory_wears_no_code():
+    world, encoder = world_and_encoder(get_suite("ptne-v1").track("curved").scenario)
+    policy = Coded(encoder.layout, NetworkPolicy(lambda rows, *_: (rows[:, :1], rows)))
+    state, memory = begin(world, [0]), None
+    with pytest.raises(ValueError, match="cannot be kept for some players alone"):
+        for _ in range(world.clock.total_steps):
+            actions, memory = policy.predict(encoder.observe(state)[0], memory)
+            state = dynamics.step(world, state, encoder.decode(actions[None], state))
 
 
 def test_code_needs_natural_units():
