@@ -10,10 +10,15 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from rich import box
+from rich.console import RenderableType
+from rich.markup import escape
+from rich.table import Table as RichTable
 
 from baselines.paper.claims import CLAIMS, Claim
 from baselines.paper.errata import ERRATA
@@ -22,7 +27,7 @@ from baselines.paper.figures import FIGURES, draw
 from baselines.paper.table import TableRow, table_one
 from ptne_env import __version__
 from ptne_env.cli.console import console, progress
-from ptne_env.report.tables import Cell, Column, Table, text_table
+from ptne_env.report.tables import Cell, Column, Table
 from ptne_env.report.terminal import draw_table
 from ptne_env.shared.files import write_atomically
 
@@ -104,12 +109,8 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
     return reproduction
 
 
-def paper_tables(reproduction: Reproduction) -> tuple[Table, Table, Table]:
-    """Table I beside the paper's, the claims with their verdicts, and the errata.
-
-    Args:
-        reproduction: of :func:`reproduce`.
-    """
+def draw_table_one(reproduction: Reproduction, width: int) -> RenderableType:
+    """Table I beside the paper's, for a terminal of ``width`` columns."""
     rows = {row.algorithm: row for row in reproduction.table}
     columns = {
         "κ": {name: Cell.of(row.kappa) for name, row in rows.items()},
@@ -125,14 +126,18 @@ def paper_tables(reproduction: Reproduction) -> tuple[Table, Table, Table]:
         tuple(Column(label, cells) for label, cells in columns.items()),
         ("Example 1 on the 5-cycle, our choice: our copy of the paper lacks its graph.",),
     )
-    errata = [claim for claim in reproduction.claims if claim.name.startswith("Erratum")]
-    stated = [claim for claim in reproduction.claims if claim not in errata]
-    return table, _verdicts("Claims of the paper", stated), _verdicts("Errata of the paper", errata)
+    return draw_table(table, width)
 
 
-def _verdicts(caption: str, claims: Iterable[Claim]) -> Table:
-    rows = ((claim.name, claim.word, claim.statement, claim.finding) for claim in claims)
-    return text_table(caption, "", ("verdict", "says", "measured"), rows)
+def draw_verdicts(reproduction: Reproduction) -> Iterator[RenderableType]:
+    """The claims of the paper with their verdicts, and the errata."""
+    for caption, is_erratum in (("Claims of the paper", False), ("Errata of the paper", True)):
+        table = RichTable("", "verdict", "says", "measured", title=caption, title_justify="left", box=box.SIMPLE_HEAD)
+        for claim in reproduction.claims:
+            if claim.name.startswith("Erratum") == is_erratum:
+                colour = "green" if claim.verdict == "holds" else "red"
+                table.add_row(claim.name, f"[{colour}]{claim.word}[/]", escape(claim.statement), escape(claim.finding))
+        yield table
 
 
 def main() -> None:
@@ -143,8 +148,7 @@ def main() -> None:
     with progress("reproducing") as advance:
         reproduction = reproduce(out, progress=lambda done, total, part: advance(part, done, total))
     screen = console()
-    for table in paper_tables(reproduction):
-        screen.print(draw_table(table, screen.width))
+    screen.print(draw_table_one(reproduction, screen.width), *draw_verdicts(reproduction), sep="\n")
     print(f"{len(reproduction.figures)} figures and results.json written to {out}")
 
 

@@ -75,7 +75,7 @@ MISUSES = {
     "parallel_env('energy', s_end=50.0)": "too long: float64 cannot tell T",
     "parallel_env('energy', s_end=30.0, steps=30000)": "steps = 30000 .* too short .*; use fewer steps or",
     "parallel_env('energy', hold_steps=3, gain=0.0)": "hold_steps need a gain c > 0",
-    "parallel_env('energy', spacing='logarithmic')": "spacing is one of effective, transformed, physical",
+    "parallel_env('energy', spacing='logarithmic')": "unknown spacing 'logarithmic'; choose from effective, transf",
     "parallel_env('energy', render_mode='ansi')": "unknown render_mode 'ansi'; choose None or one of human, rgb_array",
     "parallel_env('energy', deadline='1.2')": r"deadline must be .* above 0 \(T, in seconds\), got '1.2'",
     "parallel_env('energy', message_range=0.0)": "message_range must be .* above 0",

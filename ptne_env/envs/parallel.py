@@ -18,7 +18,7 @@ from ptne_env.envs.simulation import Simulation, override_fields, player_encoder
 from ptne_env.perception.encoder import NonFiniteActionError, find_action_fault
 from ptne_env.perception.fields import OBSERVATION_BOUND, InterfaceKind
 from ptne_env.perception.observation import Interface, ObservationLayout
-from ptne_env.shared.arrays import Float32Array, FloatArray
+from ptne_env.shared.arrays import Float32Array, FloatArray, require_count
 from ptne_env.world import dynamics
 from ptne_env.world.dynamics import State
 from ptne_env.world.rewards import RewardChoice
@@ -117,7 +117,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
 
     @max_cycles.setter
     def max_cycles(self, value: int | None) -> None:
-        self._simulation.max_cycles = value
+        self._simulation.max_cycles = None if value is None else require_count("max_cycles", value, 1)
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the agent's own Box, the same object on every call."""

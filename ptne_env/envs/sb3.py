@@ -52,9 +52,6 @@ class PlayerVecEnv(VecEnv):
     Attributes:
         vector: the environments.
         layout: the layout of observations and actions.
-
-    Raises:
-        TypeError, ValueError: as :func:`ptne_env.parallel_env`.
     """
 
     def __init__(

@@ -26,7 +26,7 @@ from ptne_env.world.world import World
 
 
 class StepResult(NamedTuple):
-    """The result of a step, which the next step may overwrite; entries as in :class:`~ptne_env.envs.vector.VectorStep`.
+    """The result of a step, whose arrays may be shared; entries as in :class:`~ptne_env.envs.vector.VectorStep`.
 
     Environments are last, (N, B) or (B,), except in ``clipped``, (B, N). ``terms`` holds each reward term, unweighted.
     """
@@ -130,23 +130,14 @@ class Simulation:
         self, encoder: Encoder, *, reward: RewardChoice = "digits", max_cycles: int | None = None, num_envs: int = 1
     ) -> None:
         self.encoder, self.world = encoder, encoder.world
-        self.num_envs = require_count("num_envs", num_envs, 1)
-        self.max_cycles = max_cycles
+        self.num_envs = num_envs
+        self.max_cycles = None if max_cycles is None else require_count("max_cycles", max_cycles, 1)
         self._reward = Reward(self.world, reward)
         self.reward_names = [f"reward_{name}" for name in self._reward.weights]
         self._never = np.zeros(self.num_envs, dtype=np.bool_)
         self._never.flags.writeable = False
         self._streams: list[RandomStreams] = []
         self.state: State | None = None
-
-    @property
-    def max_cycles(self) -> int | None:
-        """The number of steps after which an episode is truncated, or ``None``; may be set at any time."""
-        return self._max_cycles
-
-    @max_cycles.setter
-    def max_cycles(self, value: int | None) -> None:
-        self._max_cycles = None if value is None else require_count("max_cycles", value, 1)
 
     @property
     def current(self) -> State:
@@ -230,7 +221,7 @@ class Simulation:
         self.state = state = dynamics.step(self.world, before, self.encoder.inputs(actions, before))
         terms = self._reward.step(state)
         terminated, diverged = dynamics.is_over(self.world, state), state.diverged
-        truncated = self._never if self._max_cycles is None else ~terminated & (state.step >= self._max_cycles)
+        truncated = self._never if self.max_cycles is None else ~terminated & (state.step >= self.max_cycles)
         if restart is not None:
             self.begin(restart)
             moves = ~restart.mask

@@ -45,9 +45,6 @@ class TorchRLEnv(EnvBase):
         vector: the environments.
         layout: the layout of observations and actions.
         group_map: the names of the players, by group.
-
-    Raises:
-        TypeError, ValueError: as :func:`ptne_env.parallel_env`.
     """
 
     def __init__(

@@ -63,6 +63,7 @@ class VectorParallelEnv:
         num_envs: B.
         num_players: N.
         layout: the layout of observations and actions.
+        max_cycles: the number of steps after which an episode is truncated, or ``None``.
         reward_names: the names of the reward terms in infos.
         over: whether each environment must start again before the next step, shape (B,), never changed in place.
         single_observation_space: the space of one player's observation.
@@ -97,20 +98,10 @@ class VectorParallelEnv:
             )
             for part in self._slices
         ]
-        self.reward_names = self._blocks[0].reward_names
+        self.max_cycles, self.reward_names = max_cycles, self._blocks[0].reward_names
         self.single_observation_space: spaces.Box = self.layout.observation_space()
         self.single_action_space: spaces.Box = self.layout.action_space()
         self.over = np.ones(self.num_envs, dtype=np.bool_)
-
-    @property
-    def max_cycles(self) -> int | None:
-        """The number of steps after which an episode is truncated, or ``None``; may be set at any time."""
-        return self._blocks[0].max_cycles
-
-    @max_cycles.setter
-    def max_cycles(self, value: int | None) -> None:
-        for block in self._blocks:
-            block.max_cycles = value
 
     @property
     def estimates(self) -> FloatArray:

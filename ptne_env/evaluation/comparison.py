@@ -199,10 +199,8 @@ def run_suite(
         run: likewise.
         trust: likewise.
 
-    Raises:
-        ValueError: as :func:`evaluate`, and for a policy with the name of a reference policy.
-        RuntimeError: when a reference policy fails.
-        OSError, ImportError, ConnectionError, ChildProcessError: when ``run`` raises them.
+    Errors are those of :func:`evaluate`, ``ValueError`` for a policy with the name of a reference policy, and
+    ``RuntimeError`` when a reference policy fails.
     """
     suite = get_suite(suite)
     names = [track.name for track in suite.tracks] if tracks is None else list(dict.fromkeys(as_list(tracks)))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import ast
 import glob
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from inspect import signature
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -259,29 +259,9 @@ def _source_to_dict(source: PolicySource) -> dict[str, Any]:
     return {"object": f"{named.__module__}:{named.__qualname__}"}
 
 
-class _Policies(Mapping[str, PolicySpec]):
-    """The named policies. Each is made when it is asked for, so that no law is imported before."""
-
-    def __getitem__(self, name: str) -> PolicySpec:
-        return _named_policy(name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(TABLE)
-
-    def __len__(self) -> int:
-        return len(TABLE)
-
-    def __contains__(self, name: object) -> bool:
-        return name in TABLE  # without making it
-
-
-@cache
-def _named_policy(name: str) -> PolicySpec:
-    description, spec = TABLE[name]
-    return PolicySpec(name, spec, description=description)
-
-
-POLICIES: Mapping[str, PolicySpec] = _Policies()
+POLICIES: Mapping[str, PolicySpec] = {
+    name: PolicySpec(name, spec, description=description) for name, (description, spec) in TABLE.items()
+}
 """The laws, reference policies and learned policies by name, in the order in which tables list them."""
 
 

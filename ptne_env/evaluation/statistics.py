@@ -93,17 +93,13 @@ def _variance_of_mean(values: FloatArray) -> tuple[float, int]:
     return (float(values.var(ddof=1)) / count, count - 1) if count > 1 else (0.0, 0)
 
 
-def _freedom(parts: Sequence[tuple[float, int]]) -> float:
-    """Return the degrees of freedom of a sum of variances with these degrees of freedom, after Satterthwaite."""
-    variance = sum(part for part, _ in parts)
-    return 1 / sum((part / variance) ** 2 / count for part, count in parts if count)  # squares may underflow
-
-
 def _squared_quantile(parts: Sequence[tuple[float, int]]) -> float:
     """Return the square of Student's quantile for a sum of variances with these degrees of freedom; 0 if it is 0."""
-    if not any(part for part, _ in parts):
+    variance = sum(part for part, _ in parts)
+    if not variance:
         return 0.0
-    return float(special.stdtrit(_freedom(parts), (1 + CONFIDENCE) / 2) ** 2)
+    freedom = 1 / sum((part / variance) ** 2 / count for part, count in parts if count)  # Satterthwaite
+    return float(special.stdtrit(freedom, (1 + CONFIDENCE) / 2) ** 2)
 
 
 def tail_values(samples: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ptne_env.evaluation.comparison import Job, JobResult, run_serially
+from ptne_env.evaluation.comparison import Job, JobResult
 from ptne_env.evaluation.metrics import METRICS, Metric
 from ptne_env.evaluation.provenance import content_hash, versions
 from ptne_env.evaluation.results import to_json_list
@@ -60,9 +60,8 @@ class Store:
         """Return the file of the job with this key."""
         return self.folder / "jobs" / f"{key}.json"
 
-    def find(self, job: Job) -> JobResult | None:
-        """Return the stored result of a job, or ``None`` where there is none or its file is damaged."""
-        key = key_of(job)
+    def find(self, key: str | None) -> JobResult | None:
+        """Return the stored result of the job with a key, or ``None`` where there is none or its file is damaged."""
         if key is None:
             return None
         try:
@@ -75,9 +74,8 @@ class Store:
             return None
         return JobResult(samples, reason)
 
-    def save(self, job: Job, result: JobResult) -> None:
-        """Store the result of a job."""
-        key = key_of(job)
+    def save(self, key: str | None, job: Job, result: JobResult) -> None:
+        """Store the result of a job with a key."""
         if key is None or result.failure is not None:
             return
         samples = {name: to_json_list(values) for name, values in result.samples.items()}
@@ -127,9 +125,9 @@ class Runner:
             if self.progress is not None:
                 self.progress(f"{jobs[index].track.name}: {jobs[index].policy.name}", done, total)
 
-        missing = []
-        for index, job in enumerate(jobs):
-            stored = None if store is None else store.find(job)
+        missing, keys = [], [key_of(job) for job in jobs]
+        for index, key in enumerate(keys):
+            stored = None if store is None else store.find(key)
             if stored is None:
                 missing.append(index)
             else:
@@ -137,10 +135,10 @@ class Runner:
         if store is not None and missing:
             require_writable(store.path("0"))
         missing.sort(key=lambda index: -cost_of(jobs[index]))  # long jobs first, so that no core waits for the last one
-        tasks = [(jobs[index], key_of(jobs[index]), METRICS) for index in missing]
+        tasks = [(jobs[index], keys[index], METRICS) for index in missing]
         for place, result in self.workers.run(_run_job, tasks):
             if store is not None:
-                store.save(jobs[missing[place]], result)
+                store.save(keys[missing[place]], jobs[missing[place]], result)
             finish(missing[place], result)
         return [results[index] for index in range(len(jobs))]
 
@@ -163,8 +161,7 @@ def _run_job(job: Job, key: str | None, metrics: dict[str, Metric]) -> JobResult
             f"policy {job.policy.name!r} than the machine that asks: install the same on both"
         )
     try:
-        (result,) = run_serially([job])
+        return job.compute()
     except Exception as error:
         error.add_note(f"in track {job.track.name!r}, policy {job.policy.name!r}")
         raise
-    return result

@@ -424,18 +424,3 @@ def require_strong_monotonicity(game: Game) -> None:
             f"game {int(smallest.argmin())} of the batch is not strongly monotone: ε = {smallest.min():.3g}; a family "
             "of such games declares is_strongly_monotone = False"
         ) from None
-
-
-def require_shape(
-    method: Callable[[FloatArray], FloatArray], argument: FloatArray, axes: str, expected: tuple[int, ...], wanted: str
-) -> FloatArray:
-    """Return what a method of a game returns, or raise ``ValueError`` unless it takes many environments at once."""
-    rule = f"{method.__qualname__} maps {axes} = {argument.shape} to {wanted} = {expected}, environments B last"
-    try:
-        result = method(argument)
-        shape = np.shape(result)
-    except (TypeError, ValueError, LookupError) as error:
-        raise ValueError(f"{rule}; it raised {type(error).__name__}: {error}") from error
-    if shape != expected:
-        raise ValueError(f"{rule}; it returned the shape {shape}")
-    return result

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptne_env.games.base import BOUNDS_ADVICE, REGRET_TOLERANCE, Game, NoBestResponseError, require_shape
+from ptne_env.games.base import BOUNDS_ADVICE, REGRET_TOLERANCE, Game, NoBestResponseError
 from ptne_env.games.variational import solve_box
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, array_namespace, is_numpy, ordered_sum
 
@@ -84,7 +84,7 @@ class CostGame(Game):
         name, units = type(self).__name__, 0.25 + self._units(16) / 2  # away from the bounds
         points = np.concatenate([self._spread(unit, np.zeros((self.dimension, self.batch_size))) for unit in units], 1)
         game, estimates = self._repeated(len(units)), np.repeat(points[:, None], self.num_players, axis=1)
-        costs = require_shape(game.costs, points, "(n, B)", (self.num_players, points.shape[1]), "(N, B)")
+        costs = game._checked_costs(points)  # noqa: SLF001 - the same class
         if not (is_numpy(costs) and costs.dtype.kind in "fi"):
             raise ValueError(
                 f"{name}.costs maps an array of numpy to one of numpy, and an array of JAX to one of JAX, with the "
@@ -98,7 +98,7 @@ class CostGame(Game):
                 "strategies, with low= and high=, to where costs are finite"
             )
         first = slice(self.batch_size)
-        alone = require_shape(self.costs, points[:, first], "(n, B)", costs[:, first].shape, "(N, B)")
+        alone = self._checked_costs(points[:, first])
         if not np.abs(alone - costs[:, first]).max() <= 1e-9 * (1 + np.abs(costs).max()):
             raise ValueError(f"{name}: costs of one environment depend on another: sum over axis=0, as x.sum(axis=0)")
         expected = game._differentiate(estimates, _by_differences)  # noqa: SLF001 - the same class
@@ -121,6 +121,19 @@ class CostGame(Game):
             "as a formula of x without float() and numbers stored into other arrays; with JAX installed, abs(x) and "
             f"functions of xp = x.__array_namespace__() will do, but not np.abs(x). {'; '.join(reasons)}"
         )
+
+    def _checked_costs(self, points: FloatArray) -> FloatArray:
+        """Return the costs, or raise ``ValueError`` unless they are those of all players in all environments."""
+        expected = self.num_players, points.shape[1]
+        rule = f"{self.costs.__qualname__} maps (n, B) = {points.shape} to (N, B) = {expected}, environments B last"
+        try:
+            costs = self.costs(points)
+            shape = np.shape(costs)
+        except (TypeError, ValueError, LookupError) as error:
+            raise ValueError(f"{rule}; it raised {type(error).__name__}: {error}") from error
+        if shape != expected:
+            raise ValueError(f"{rule}; it returned the shape {shape}")
+        return costs
 
     def _units(self, count: int) -> FloatArray:
         """Points of (0, 1)^n that cover it evenly, also in the components of each player; (count, n, 1)."""

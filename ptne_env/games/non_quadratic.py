@@ -9,6 +9,8 @@ import numpy as np
 
 from ptne_env.games.base import Game
 from ptne_env.shared.arrays import FloatArray, array_namespace
+from ptne_env.shared.names import require_name
+from ptne_env.shared.parts import checked
 
 
 class NonQuadraticGame(Game):
@@ -23,13 +25,8 @@ class NonQuadraticGame(Game):
         variant: ``"corrected"`` or ``"printed"``; any other is a ``ValueError``.
     """
 
-    variant: Literal["printed", "corrected"] = "corrected"
+    variant: Literal["printed", "corrected"] = checked(require_name, ("printed", "corrected"), default="corrected")
     action_dims = (1,) * 5
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.variant not in ("printed", "corrected"):
-            raise ValueError(f"variant must be 'printed' or 'corrected', got {self.variant!r}")
 
     @cached_property
     def _slope(self) -> float:

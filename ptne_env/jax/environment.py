@@ -76,12 +76,14 @@ class JaxWorld:
         self._world.clock = copy.copy(self._world.clock)
         for name in ("theta", "dt"):
             setattr(self._world.clock, name, jnp.asarray(getattr(self._world.clock, name)))
-        self._draw_games = game_sampler(self.numpy, _streams(pool, seed))
+        episodes = range(require_count("pool", pool, 1))
+        streams = [RandomStreams.from_seed(episode_seed(seed, episode, "train")) for episode in episodes]
+        self._draw_games = game_sampler(self.numpy, streams)
         self._parts = [each if callable(each) else jnp.asarray(each) for _, each in self._encoder.parts]
         start, self._starts = self.numpy.start, None
         if not isinstance(start, UniformStart):  # a reset chooses among these, (n, N, P)
-            self._starts = jnp.asarray(self.numpy.draw_estimates(_streams(pool if start.is_random else 1, seed)))
-        self._schedules = self._drawn_schedules(_streams(pool, seed))
+            self._starts = jnp.asarray(self.numpy.draw_estimates(streams if start.is_random else streams[:1]))
+        self._schedules = self._drawn_schedules(streams)
 
     @partial(jax.jit, static_argnums=(0, 2))
     def reset(self, key: jax.Array, num_envs: int = 1) -> State:
@@ -209,8 +211,3 @@ def require_x64() -> None:
             "the dynamics are float64, and JAX's 64-bit numbers are off: call "
             'jax.config.update("jax_enable_x64", True) first, or set the variable JAX_ENABLE_X64=1'
         )
-
-
-def _streams(pool: int, seed: int) -> list[RandomStreams]:
-    episodes = range(require_count("pool", pool, 1))
-    return [RandomStreams.from_seed(episode_seed(seed, episode, "train")) for episode in episodes]

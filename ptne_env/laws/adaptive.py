@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 import numpy.typing as npt
 
@@ -44,6 +46,8 @@ class Adaptive(Law):
         ValueError: for a negative number, or a table that is not symmetric or of another shape.
     """
 
+    has_gains: ClassVar[bool] = True
+
     def __init__(
         self, layout: ObservationLayout, gamma: npt.ArrayLike = 0.01, initial_gain: npt.ArrayLike = 0.5
     ) -> None:
@@ -58,10 +62,6 @@ class Adaptive(Law):
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
         return adaptive_inputs(observation, memory, self.gamma[observation.player], self.surplus[observation.player])
-
-    def gains(self, memory: FloatArray) -> FloatArray:
-        """Return κ_ij of every link, in both directions."""
-        return np.asarray((memory + self.surplus)[self.layout.filled_slots])
 
 
 def _of_links(name: str, numbers: npt.ArrayLike, layout: ObservationLayout) -> FloatArray:

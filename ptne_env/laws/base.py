@@ -28,6 +28,9 @@ class Law(RowPolicy):
     needs: ClassVar[tuple[str, ...]] = ()
     """Slices that the law reads and only some layouts have."""
 
+    has_gains: ClassVar[bool] = False
+    """Whether its memory holds adaptive gains alone; with these frozen, the law is one without memory."""
+
     interface: ClassVar[Interface] = Interface("physical")
     """The interface that the law uses in comparisons."""
 
@@ -91,13 +94,6 @@ class Law(RowPolicy):
         """Whether the law keeps numbers from step to step."""
         return self._row_shape is not None
 
-    def gains(self, memory: Any) -> FloatArray | None:  # noqa: ARG002 - laws whose gains adapt use it
-        """Return the gains in a memory with one row per player; ``None`` for a law without adaptive gains.
-
-        With these gains frozen, the law is one without memory.
-        """
-        return None
-
 
 class RecordLaw(Law):
     """A law whose memory is a record of named arrays, which travels as one flat row per player.
@@ -126,7 +122,7 @@ class RecordLaw(Law):
         def take(like: Any) -> Any:
             nonlocal first
             if isinstance(like, tuple):
-                return _like(like, map(take, like))
+                return like._make(map(take, like))  # type: ignore[attr-defined]  # a record is a named tuple
             part = memory[:, first : first + like.size].reshape(len(memory), *like.shape[1:])
             first += like.size
             return part
@@ -137,11 +133,6 @@ class RecordLaw(Law):
 def _arrays(record: tuple[Any, ...]) -> list[Any]:
     """Return the arrays of a record in order."""
     return [array for part in record for array in (_arrays(part) if isinstance(part, tuple) else [part])]
-
-
-def _like(record: Any, parts: Any) -> Any:
-    """Return a tuple of the kind of ``record`` with other parts."""
-    return record._make(parts) if hasattr(record, "_make") else tuple(parts)
 
 
 def consensus(weights: FloatArray, relative_estimates: FloatArray) -> FloatArray:

@@ -51,10 +51,10 @@ class FixedTime(RecordLaw):
         self.power = require_positive("power", power)
         if power > 1:
             raise ValueError(f"power must be at most 1, or inputs grow without bound near rest, got {power}")
-        self.start = (Curvature(np.zeros((1, 1)), *np.zeros((2, 1, layout.dimension))),)
+        self.start = Curvature(np.zeros((1, 1)), *np.zeros((2, 1, layout.dimension)))
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        (was,), player = self.unpack(memory), observation.player
+        was, player = self.unpack(memory), observation.player
         own, leaders = self.layout.own_mask[player], self.layout.neighbour_components[player]
         pull: FloatArray = grounded_inputs(observation, own, leaders, kappa=1.0)
         size = np.maximum(np.abs(pull) * observation.unit, _TINY)
@@ -62,4 +62,4 @@ class FixedTime(RecordLaw):
         seen, degrees = see_curvature(was, observation, own), consensus(observation.weights, leaders + np.float64(1.0))
         stiffness = np.where(own, np.maximum(1 / self.step, seen.largest), np.maximum(degrees, _TINY))
         moves = clip_to_reach(pull * np.minimum(observation.theta * gains, 1 / stiffness), observation, self.layout)
-        return per_step(moves, observation), self.pack((seen._replace(moves=moves * observation.unit),))
+        return per_step(moves, observation), self.pack(seen._replace(moves=moves * observation.unit))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -87,6 +87,8 @@ class AdaptiveGrounded(Law):
         ValueError: for a negative number.
     """
 
+    has_gains: ClassVar[bool] = True
+
     def __init__(self, layout: ObservationLayout, gamma: float = 0.01, initial_gain: float = 0.5) -> None:
         super().__init__(layout)
         self.gamma = require_non_negative("gamma", gamma)
@@ -102,7 +104,3 @@ class AdaptiveGrounded(Law):
         growth = self.gamma * error**2 * observation.unit**2
         inputs = np.where(own, -observation.gradient, memory * error)
         return inputs, memory + observation.theta * np.where(own, 0.0, growth)
-
-    def gains(self, memory: FloatArray) -> FloatArray:
-        """Return θ_ij of every player and component that it does not own."""
-        return np.asarray(memory[~self.layout.own_mask])

@@ -45,10 +45,10 @@ class ProximalBestResponse(RecordLaw):
         super().__init__(layout)
         self.step, self.mixing = require_positive("step", step), require_positive("mixing", mixing)
         self.spread = require_positive("spread", spread)
-        self.start = (initial_model(layout),)
+        self.start = initial_model(layout)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        (was,), blocks = self.unpack(memory), self.layout.own_components[observation.player]
+        was, blocks = self.unpack(memory), self.layout.own_components[observation.player]
         is_own, gradient = self.layout.own_mask[observation.player], own_entries(observation.gradient, blocks)
         widest, unlimited = np.full_like(was.radius, self.spread), np.full_like(was.radius, np.inf)
         model: Model = identify(was, observation.own_estimate, gradient, widest, unlimited, is_own)
@@ -60,4 +60,4 @@ class ProximalBestResponse(RecordLaw):
         along = np.einsum("rba,rb->ra", vectors, wanted) / (2 + self.step * (np.maximum(curvature, 0.0) + doubt))
         step = np.einsum("rab,rb->ra", vectors, along)
         displacement = with_own(drift, shorten(step, model.radius), blocks)
-        return per_step(displacement, observation), self.pack((model,))
+        return per_step(displacement, observation), self.pack(model)

@@ -17,6 +17,7 @@ import numpy as np
 from ptne_env.perception.observation import Interface
 from ptne_env.perception.policy import RowPolicy
 from ptne_env.shared.arrays import BoolArray, Float32Array, array_namespace, is_numpy, require_count, require_flag
+from ptne_env.shared.names import require_name
 
 Weights = dict[str, Any]
 """The weights of a network by name; float32 arrays of numpy or JAX."""
@@ -55,8 +56,7 @@ class Metadata:
         require_count("slots", self.slots, 0)
         for dim in self.action_dims:
             require_count("action_dims", dim, 1)
-        if self.activation not in ACTIVATIONS:
-            raise ValueError(f"activation must be {' or '.join(ACTIVATIONS)}, got {self.activation!r}")
+        require_name("activation", self.activation, ACTIVATIONS)
         require_flag("is_squashed", self.is_squashed)
 
     def to_dict(self) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from zipfile import ZipFile
 import numpy as np
 
 from ptne_env.learn.layers import LayeredPolicy, Metadata, Weights
-from ptne_env.learn.recurrent import RecurrentPolicy, check_weights
+from ptne_env.learn.recurrent import RecurrentPolicy
 from ptne_env.perception.policy import PolicyFileError
 
 LARGEST_UNPACKED = 16 << 20
@@ -63,7 +63,6 @@ def open_policy(path: Path, content: bytes) -> RecurrentPolicy | LayeredPolicy:
         _require(all(np.isfinite(each).all() for each in weights.values()), "a weight is not finite")
         if is_layered:
             return LayeredPolicy(path.stem, weights, Metadata.from_dict(described))
-        check_weights(weights)
         return RecurrentPolicy(path.stem, weights, None, described)
     except Exception as error:  # zip files raise many classes
         raise PolicyFileError(f"{path} is damaged, or no policy of this library: {error}") from error

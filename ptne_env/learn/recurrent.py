@@ -3,7 +3,7 @@
 One function computes the network, for numpy, which plays, and for JAX, which trains
 (:mod:`ptne_env.training.through_world`). All players, components and neighbours share the weights, and neighbours are
 pooled, so one file plays games of any size. The network sees observations in units of σ_i, has a memory, and consists
-of generic layers; nothing in it estimates, identifies or imitates.
+of generic layers, none of which estimates, identifies or imitates. Two features are computed by hand.
 
 The last axis of an array holds M players, those of all environments. The axes before it are D neighbour slots and n
 components, and the first axis holds F features: (F, D, n, M).
@@ -270,13 +270,6 @@ def _squash(array: Any) -> Any:
     return 2 * xp.tanh(xp.clip(array, -20, 20) / 2)
 
 
-def check_weights(weights: Weights) -> None:
-    """Raise ``ValueError`` when the weights are not those of a network that plays."""
-    shapes = _weight_shapes(weights["again"].shape[-1], weights["slot_again"].shape[-1])
-    if shapes != {name: each.shape for name, each in weights.items()}:
-        raise ValueError("its weights have other shapes")
-
-
 FEWEST_ROWS, CELLS = 32, 2500
 """The rows of a block whose arrays fit the cache: so many, or more if these have fewer components of messages."""
 
@@ -289,6 +282,9 @@ class RecurrentPolicy(RowPolicy):
         interface: ``physical``.
         weights: the weights of the network.
         training: how it was trained; nothing depends on it.
+
+    Raises:
+        ValueError: when the weights are not those of such a network.
     """
 
     interface = Interface("physical")
@@ -296,6 +292,9 @@ class RecurrentPolicy(RowPolicy):
     def __init__(
         self, name: str, weights: Weights, layout: ObservationLayout | None, training: Mapping[str, Any]
     ) -> None:
+        shapes = _weight_shapes(weights["again"].shape[-1], weights["slot_again"].shape[-1])
+        if shapes != {name: each.shape for name, each in weights.items()}:
+            raise ValueError("its weights have other shapes")
         self.name, self.weights, self.training = name, weights, dict(training)
         self._layout = layout
         self.made_for = {"interface": self.interface} | ({} if layout is None else {"size": layout.size})

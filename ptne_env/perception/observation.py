@@ -49,8 +49,7 @@ class Interface:
     fields: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.units not in get_args(InterfaceKind):
-            raise ValueError(f"unknown interface {self.units!r}; choose from {', '.join(get_args(InterfaceKind))}")
+        require_name("interface", self.units, get_args(InterfaceKind))
         names = tuple(self.fields) or [name for name, field in FIELDS.items() if self.units in field.kinds]
         units: tuple[InterfaceKind, ...] = ("scaled",) if self.units == "scaled" else ("physical", "full")
         for name in names:

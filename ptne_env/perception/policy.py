@@ -186,7 +186,7 @@ class NetworkPolicy(RowPolicy):
         actions, memory = self._function(rows, memory, starts, deterministic)
         return actions[:count], memory
 
-    def select_rows(self, mask: BoolArray, fresh: Any, old: Any) -> Any:
+    def select_rows(self, mask: BoolArray, fresh: Any, old: Any) -> Any:  # noqa: ARG002 - it can select no rows
         """Return ``None``, if there is no memory; ``ValueError`` if there is, whose form only the function knows."""
         if old is not None:
             raise ValueError("the memory of a network of another library cannot be kept for some players alone")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -29,13 +29,11 @@ class Cell:
         text: the text as it is shown.
         value: the number by which the column is sorted; a cell without one comes last.
         interval: the 95 % interval as it is shown; empty where both ends look the same.
-        is_text: whether the cell holds words, which are wrapped.
     """
 
     text: str = "–"
     value: float | None = None
     interval: str = ""
-    is_text: bool = False
 
     @classmethod
     def of(cls, quantity: Summary | float | None) -> Cell:
@@ -78,18 +76,6 @@ class Table:
     rows: tuple[str, ...]
     columns: tuple[Column, ...]
     notes: tuple[str, ...] = ()
-
-
-def text_table(
-    caption: str, subject: str, headings: Iterable[str], rows: Iterable[tuple[str, ...]], notes: tuple[str, ...] = ()
-) -> Table:
-    """Return a table of words, whose rows are the name of each, which no other row has, and a text per heading."""
-    texts = {name: row for name, *row in rows}
-    columns = (
-        Column(heading, {name: Cell(row[index], is_text=True) for name, row in texts.items()})
-        for index, heading in enumerate(headings)
-    )
-    return Table(caption, subject, tuple(texts), tuple(columns), notes)
 
 
 def join_words(words: Sequence[str], most: int | None = None) -> str:

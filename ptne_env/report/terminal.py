@@ -14,9 +14,6 @@ from rich.text import Text
 from ptne_env.evaluation.results import Results
 from ptne_env.report.tables import Column, Table, answer, answer_table, track_tables
 
-_STYLES = {"holds": "green", "fails": "red"}
-"""Colours of cells by their first word."""
-
 
 def draw_table(table: Table, width: int, *, whole: bool = True) -> Group:
     """Return a table in as many pieces, one below the other, as a terminal of ``width`` columns demands.
@@ -31,8 +28,6 @@ def draw_table(table: Table, width: int, *, whole: bool = True) -> Group:
         cells = [column[row] for row in table.rows]
         texts = [_break_heading(column), *(text for cell in cells for text in (cell.text, cell.interval))]
         needed = 3 + max(cell_len(line) for text in texts for line in text.splitlines())
-        if any(cell.is_text for cell in cells):
-            needed = min(needed, 24)  # rich wraps the words
         if needed > left or not pieces:
             pieces.append([])
             left = room
@@ -50,12 +45,11 @@ def _draw_piece(table: Table, names: dict[str, str], columns: list[Column]) -> R
     piece = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
     piece.add_column(table.subject)
     for column in columns:
-        is_text = any(cell.is_text for cell in column.cells.values())
-        piece.add_column(Text(_break_heading(column)), justify="left" if is_text else "right", no_wrap=not is_text)
+        piece.add_column(Text(_break_heading(column)), justify="right", no_wrap=True)
     for row in table.rows:
         cells = []
         for column in columns:
-            cell = Text(column[row].text, style=_STYLES.get(column[row].text.partition(" ")[0], ""))
+            cell = Text(column[row].text)
             if column[row].interval:
                 cell.append(f"\n{column[row].interval}", style="dim")
             cells.append(cell)

@@ -42,4 +42,4 @@ def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
 
 
 def _plain(name: str) -> str:
-    return name.lower().replace("_", "-")
+    return str(name).lower().replace("_", "-")

@@ -94,14 +94,10 @@ PARTS: Mapping[str, str] = {
 """The parts that ship, by id. Adding one takes its class or function and one line here; tests import each."""
 
 _IDS = {target: name for name, target in PARTS.items()}
+"""The ids of parts by ``module:object``."""
 
 _MAIN = "__main__"
 """Name of the module of the program or notebook that runs."""
-
-
-def part_id(target: str) -> str:
-    """Return the id of a part of this library that is named by ``module:object``; any other target as it is."""
-    return _IDS.get(target, target)
 
 
 def names_of(kind: str) -> list[str]:
@@ -118,7 +114,7 @@ def target_of(kind: str, name: str, *others: str) -> str:
 
 def is_part(target: str) -> bool:
     """Return whether a target is a part of this library; any other target may run any code."""
-    return part_id(target) in PARTS
+    return target in PARTS or target in _IDS
 
 
 def foreign_targets(data: Any) -> list[str]:
@@ -339,7 +335,7 @@ class FactorySpec:
     arguments: tuple[tuple[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "target", part_id(self.target))
+        object.__setattr__(self, "target", _IDS.get(self.target, self.target))
 
     @classmethod
     def of(cls, target: str | Part | Callable[..., Any], /, **arguments: Any) -> FactorySpec:

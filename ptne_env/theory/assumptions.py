@@ -24,6 +24,9 @@ _GRID = freeze(np.linspace(0.0, 6.0, 2001))
 _LIMIT_TOLERANCE = 1e-4
 """Fraction of T below which a limit counts as 0."""
 
+_SAMPLES, _RADIUS = 64, 5.0
+"""The number of joint strategies on which costs are tested, and the size of their components."""
+
 
 class LemmaViolationError(ValueError):
     """A time transformation violates a condition of Lemma 1."""
@@ -166,28 +169,22 @@ def check_time_transformation(transformation: TimeTransformation) -> float:
     return float(remaining[last])
 
 
-def check_costs(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int = 0) -> tuple[BoolArray, BoolArray]:
+def check_costs(game: Game) -> tuple[BoolArray, BoolArray]:
     """Test on samples which costs J_i are strictly convex, and which are radially unbounded, in the own strategy x_i.
 
-    Samples can refute Assumption 3 but not prove it. All of them lie in the game's box.
-
-    Args:
-        game: the game.
-        samples: the number of random joint strategies.
-        radius: components are drawn from U(−radius, radius); with two bounds, from the interval between them; with one
-            bound, from an interval of length 2 radius next to it.
-        seed: the seed of the draws.
+    Samples can refute Assumption 3 but not prove it. They are 64 joint strategies with components of U(−5, 5); with two
+    bounds, from the interval between them; with one bound, from an interval of length 10 next to it.
 
     Returns:
         Per player, shape (N,) each, whether every sampled chord of J_i lies above J_i, and whether J_i grew along every
         sampled ray. Where the box is bounded the second holds, as a minimiser exists then.
     """
-    generator = np.random.default_rng(seed)
-    points = _move_into_box(game, radius, generator.uniform(-radius, radius, (game.dimension, samples)))
+    generator = np.random.default_rng(0)
+    points = _move_into_box(game, generator.uniform(-_RADIUS, _RADIUS, (game.dimension, _SAMPLES)))
     verdicts = []
     for player in range(game.num_players):
         direction = np.zeros_like(points)
-        direction[game.owners == player] = generator.normal(size=(game.action_dims[player], samples))
+        direction[game.owners == player] = generator.normal(size=(game.action_dims[player], _SAMPLES))
         direction /= np.linalg.norm(direction, axis=0)
         convex = _is_strictly_convex(game, points, player, direction)
         verdicts.append((convex, _grows_along_rays(game, points, player, direction)))
@@ -195,14 +192,14 @@ def check_costs(game: Game, *, samples: int = 64, radius: float = 5.0, seed: int
     return convex, unbounded
 
 
-def _move_into_box(game: Game, radius: float, drawn: FloatArray) -> FloatArray:
-    """Map points drawn from [−radius, radius] into the game's box."""
+def _move_into_box(game: Game, drawn: FloatArray) -> FloatArray:
+    """Map points drawn from [−5, 5] into the game's box."""
     if game.box is None:
         return drawn
     low, high = game.box
-    low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - 2 * radius, -radius))
-    high = np.where(np.isfinite(high), high, low + 2 * radius)
-    return low + (high - low) * (drawn + radius) / (2 * radius)
+    low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - 2 * _RADIUS, -_RADIUS))
+    high = np.where(np.isfinite(high), high, low + 2 * _RADIUS)
+    return low + (high - low) * (drawn + _RADIUS) / (2 * _RADIUS)
 
 
 def _costs_on_ray(

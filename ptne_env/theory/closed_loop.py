@@ -87,7 +87,7 @@ def law_matrix(law: Law, game: Game, graph: Graph) -> FloatArray:
         raise NoClosedLoopError(
             f"{name} reads {', '.join(unknown)}; closed loops are of laws that act on gradient and differences alone"
         )
-    if law.has_memory and law.gains(law.initial_memory(law.layout.num_players)) is None:
+    if law.has_memory and not law.has_gains:
         raise NoClosedLoopError(f"{name} remembers more than gains, so it has no closed-loop matrix")
     n, players, slots = game.dimension, game.num_players, law.layout.slots
     neighbours = np.array(law.layout.neighbours)  # (N, D)

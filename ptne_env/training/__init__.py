@@ -42,14 +42,10 @@ class Trainer(NamedTuple):
             raise ImportError(f'training needs an extra: pip install "ptne-env[{self.extra}]"') from error
 
 
-_MAPPO = {"minibatches": 8, "epochs": 3, "learning_rate": 5.7e-3, "discount": 0.577, "log_std": -1.6}
-"""The best of twenty trials of ``python -m baselines.algorithms tune mappo-rnn``."""
-
 _SAC = {"steps": 2_000_000, "batch": 1000, "rollout": 5, "minibatches": 4, "epochs": 6, "learning_rate": 1e-3}
 
 TRAINERS = {
-    **dict.fromkeys(("ippo", "ippo-rnn"), Trainer("jax_ppo", "jax", resumes_exactly=True)),
-    "mappo-rnn": Trainer("jax_ppo", "jax", resumes_exactly=True, defaults=_MAPPO),
+    **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), Trainer("jax_ppo", "jax", resumes_exactly=True)),
     "sb3-ppo": Trainer("sb3", "sb3"),
     "sb3-sac": Trainer("sb3", "sb3", defaults=_SAC),
     "through-world": Trainer("through_world", "jax", unit="updates", episodes="the last episodes"),

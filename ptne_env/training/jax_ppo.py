@@ -50,8 +50,9 @@ from ptne_env.world.dynamics import State
 EVALUATIONS = 20
 """The number of evaluations, and of checkpoints, in a run."""
 
-CLIP, GAE_LAMBDA, VALUE_WEIGHT, LARGEST_NORM = 0.2, 0.9, 0.5, 0.5
-"""What is not tuned: ε, λ, the weight of the value's loss, and the norm to which gradients are cut."""
+CLIP, LARGEST_RATIO, GAE_LAMBDA, VALUE_WEIGHT, LARGEST_NORM = 0.2, 3.0, 0.9, 0.5, 0.5
+"""What is not tuned: ε; the ratio of probabilities above which bad actions have no slope either (dual-clip PPO, D. Ye
+et al., arXiv:1912.09729); λ; the weight of the value's loss; and the norm to which gradients are cut."""
 
 AVERAGED_UPDATES, SCALE_DECAY = 50, 0.95
 """The updates over which weights are averaged; and the decay per update of the running unit of returns."""
@@ -244,7 +245,8 @@ class Learner:
         parts = steps.observations, steps.state_seen, steps.actions, steps.log_probabilities, advantages, returns
         observations, seen, actions, before, gain, returns = map(_join_steps, parts)
         values, _ = run_layers(params["critic"], _critic_sees(observations, seen, remembered), None)
-        ratio = jnp.exp(_log_probability(actions, means, params["log_std"]) - before[0])
+        change = _log_probability(actions, means, params["log_std"]) - before[0]
+        ratio = jnp.exp(jnp.minimum(change, math.log(LARGEST_RATIO)))
         gain = (gain[0] - gain.mean()) / (gain.std() + 1e-8)
         surrogate = jnp.minimum(ratio * gain, jnp.clip(ratio, 1 - CLIP, 1 + CLIP) * gain)
         return VALUE_WEIGHT * ((values - returns) ** 2).mean() - surrogate.mean()

@@ -23,7 +23,7 @@ import optax
 from optax.contrib import MuonDimensionNumbers, muon
 
 import ptne_env.jax
-from ptne_env.evaluation.tracks import Track
+from ptne_env.evaluation.tracks import Track, find_track
 from ptne_env.learn import load
 from ptne_env.learn.layers import Weights
 from ptne_env.learn.npz_policy import seal
@@ -34,7 +34,6 @@ from ptne_env.training.configuration import POLICY, RunSummary, read_finished_ru
 from ptne_env.training.curve import write_learning_curve
 from ptne_env.training.team import Team
 from ptne_env.world import distances
-from ptne_env.world.catalogue import get_scenario
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,7 @@ def train(
         return ended
     jax.config.update("jax_enable_x64", True)  # noqa: FBT003 - of JAX
     began = saved = monotonic()
-    tracks = tracks or [Track(settings.scenario, get_scenario(settings.scenario), "")]
+    tracks = tracks or [find_track(settings.scenario)]
     weights = initial_weights(np.random.default_rng(settings.seed), settings.hidden, settings.slot_hidden)
     resumed_at, steps, reached = 0, 0, -math.inf
     if (out / POLICY).exists():

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from ptne_env.shared.arrays import FloatArray, freeze, require_count, require_non_negative, require_positive
+from ptne_env.shared.names import require_name
 from ptne_env.shared.parts import Part, checked
 
 Spacing: TypeAlias = Literal["effective", "transformed", "physical"]
@@ -149,8 +150,7 @@ class StepClock:
         spacing: Spacing = "effective",
         hold_steps: int = 0,
     ) -> None:
-        if spacing not in get_args(Spacing):
-            raise ValueError(f"spacing is one of {', '.join(get_args(Spacing))}, got {spacing!r}")
+        require_name("spacing", spacing, get_args(Spacing))
         self.transformation = transformation
         self.gain = require_non_negative("gain (c)", gain)
         self.steps = require_count("steps (K)", steps, 1)

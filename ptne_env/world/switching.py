@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptne_env.shared.arrays import FloatArray, IntArray, require_count, require_positive, require_positive_probability
+from ptne_env.shared.names import require_name
 from ptne_env.shared.parts import Part
 from ptne_env.world.graphs import Graph, as_graph, from_edges, union
 
@@ -59,8 +60,7 @@ class SwitchingTopology(Part):
     clock: TopologyClock = "physical"
 
     def __post_init__(self) -> None:
-        if self.clock not in get_args(TopologyClock):
-            raise ValueError(f"a topology's clock is 'physical' or 'transformed', got {self.clock!r}")
+        require_name("clock of a topology", self.clock, get_args(TopologyClock))
         vars(self)["graphs"] = tuple(map(as_graph, self.graphs))
         if not self.graphs or len({graph.num_players for graph in self.graphs}) != 1:
             raise ValueError("a topology needs at least one graph, all with the same number of players")

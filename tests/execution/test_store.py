@@ -31,7 +31,7 @@ def test_nothing_is_stored_without_a_folder_of_a_failed_job_or_of_code_of_the_us
     monkeypatch.chdir(tmp_path)
     run_suite(SMALL, ["grounded"], tracks=["ring"], episodes=1, run=Runner())
     evaluate(PolicySpec("mine", laws.Grounded), BASE, episodes=1, run=Runner(tmp_path))
-    Store(tmp_path).save(JOB, JobResult(failure="step 3: no number"))
+    Store(tmp_path).save(key_of(JOB), JOB, JobResult(failure="step 3: no number"))
     assert not any(tmp_path.iterdir())
 
 
@@ -61,12 +61,12 @@ def damaged(whole, randomness):
 
 def test_a_damaged_result_is_run_again_or_gives_exactly_the_stored_numbers(tmp_path):
     store, result = Store(tmp_path), JOB.compute()
-    store.save(JOB, result)
+    store.save(key_of(JOB), JOB, result)
     path = store.path(key_of(JOB))
     whole, randomness, refused = path.read_bytes(), random.Random(7), 0  # noqa: S311 - damages
     for _ in range(60):
         path.write_bytes(damaged(whole, randomness))
-        found = store.find(JOB)
+        found = store.find(key_of(JOB))
         refused += found is None
         if found is not None:
             np.testing.assert_equal(found.samples, result.samples)
@@ -75,13 +75,13 @@ def test_a_damaged_result_is_run_again_or_gives_exactly_the_stored_numbers(tmp_p
 
 def test_a_stored_result_of_another_job_or_form_is_run_again(tmp_path):
     store = Store(tmp_path)
-    store.save(JOB, JOB.compute())
+    store.save(key_of(JOB), JOB, JOB.compute())
     path = store.path(key_of(JOB))
     data = json.loads(path.read_text(encoding="utf-8"))
     for change in ({"key": "0" * 64}, {"samples": 3}, {"samples": {"digits": "x"}}):
         content = {key: value for key, value in (data | change).items() if key != "checksum"}
         path.write_text(json.dumps(content | {"checksum": content_hash(content)}), encoding="utf-8")
-        assert store.find(JOB) is None
+        assert store.find(key_of(JOB)) is None
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
@@ -90,9 +90,9 @@ def test_a_pipe_in_the_place_of_a_result_is_replaced_by_it(tmp_path):
     path = store.path(key_of(JOB))
     path.parent.mkdir()
     os.mkfifo(path)
-    assert store.find(JOB) is None
-    store.save(JOB, JobResult(not_applicable="no"))
-    assert store.find(JOB).not_applicable == "no"
+    assert store.find(key_of(JOB)) is None
+    store.save(key_of(JOB), JOB, JobResult(not_applicable="no"))
+    assert store.find(key_of(JOB)).not_applicable == "no"
 
 
 def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path):

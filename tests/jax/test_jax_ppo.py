@@ -136,6 +136,21 @@ def test_advantages_are_discounted_sums_of_errors_that_end_with_episodes():
     np.testing.assert_allclose(it._advantages(steps, last, 2.0), expected[:10], rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.parametrize("rarity", [5.0, 100.0])
+def test_actions_that_became_much_likelier_move_the_actor_no_more_whether_they_were_good_or_bad(rarity):
+    """Else a few bad ones, whose ratios grow without bound, decide the update, and long trainings collapse."""
+    it = learner()
+    runner = it.start()
+    _, steps = jax.lax.scan(it._step, runner, jax.random.split(jax.random.key(1), 10))
+    steps = jax.tree.map(lambda each: each.reshape(10, -1, each.shape[-1]), steps)
+    advantages = jax.random.normal(jax.random.key(2), steps.values.shape)
+    for change, moves in ((0.0, True), (rarity, False)):
+        before = steps._replace(log_probabilities=steps.log_probabilities - change)
+        slope = jax.grad(it._loss)(runner.params, before, advantages, steps.values, runner.memory)
+        assert (max(np.abs(each).max() for each in slope["actor"].values()) > 0) == moves
+        assert all(np.isfinite(each).all() for each in jax.tree.leaves(slope))
+
+
 def test_the_critic_of_mappo_alone_sees_the_way_to_the_equilibrium_and_all_distances():
     assert jax.eval_shape(learner()._start).params["critic"]["layer_0"].shape == (8, learner().layout.size)
     it = learner("mappo-rnn")

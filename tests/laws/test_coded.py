@@ -53,6 +53,17 @@ def test_any_policy_wears_code_and_is_then_ranked_apart():
     assert board["recurrent-random-worlds"] == 1
 
 
+def play_alone(world, encoder, policy, seed, steps):
+    """The observations and actions of an episode."""
+    state, memory, rows, actions = begin(world, [seed]), None, [], []
+    for _ in range(steps):
+        rows.append(encoder.observe(state)[0])
+        decided, memory = policy.predict(rows[-1], memory)
+        actions.append(decided)
+        state = dynamics.step(world, state, encoder.decode(decided[None], state))
+    return rows, actions
+
+
 def gated(layout):
     """A network with a gated recurrent unit, as PPO trains them, of random weights."""
     shapes = weight_shapes(layout.size, (8, 16), layout.action_size, recurrent=True)
@@ -72,16 +83,7 @@ def test_players_whose_episodes_began_at_other_times_decide_as_they_would_alone(
     layout = encoder.layout
     policy = get_policy_spec(policy).build(layout) if isinstance(policy, str) else Coded(layout, policy)
 
-    def run_alone(seed, steps):
-        state, memory, rows, actions = begin(world, [seed]), None, [], []
-        for _ in range(steps):
-            rows.append(encoder.observe(state)[0])
-            decided, memory = policy.predict(rows[-1], memory)
-            actions.append(decided)
-            state = dynamics.step(world, state, encoder.decode(decided[None], state))
-        return rows, actions
-
-    runs = [run_alone(0, 60), run_alone(1, 31), run_alone(2, 29)]
+    runs = [play_alone(world, encoder, policy, seed, steps) for seed, steps in enumerate((60, 31, 29))]
     first, second = (before + after for before, after in zip(runs[1], runs[2], strict=True))
     memory = None
     for step in range(60):
@@ -93,11 +95,8 @@ def test_players_whose_episodes_began_at_other_times_decide_as_they_would_alone(
 def test_a_network_of_another_library_with_a_memory_wears_no_code():
     world, encoder = world_and_encoder(get_suite("ptne-v1").track("curved").scenario)
     policy = Coded(encoder.layout, NetworkPolicy(lambda rows, *_: (rows[:, :1], rows)))
-    state, memory = begin(world, [0]), None
     with pytest.raises(ValueError, match="cannot be kept for some players alone"):
-        for _ in range(world.clock.total_steps):
-            actions, memory = policy.predict(encoder.observe(state)[0], memory)
-            state = dynamics.step(world, state, encoder.decode(actions[None], state))
+        play_alone(world, encoder, policy, 0, world.clock.total_steps)
 
 
 def test_code_needs_natural_units():

@@ -114,7 +114,7 @@ FOREIGN = {
     "a player without actions": (layered_with(action_dims=[0]), "action_dims must be"),
     "a text for a number": (layered_with(slots="2"), "slots must be"),
     "a list for an interface": (layered_with(interface=["scaled"]), ""),
-    "another function": (layered_with(activation="elu"), "activation must be relu or tanh, got 'elu'"),
+    "another function": (layered_with(activation="elu"), "unknown activation 'elu'; did you mean 'relu'"),
     "a text for a flag": (layered_with(is_squashed="no"), "is_squashed must be True or False"),
     **{text[:9]: (pack_text(layered(), text), "") for text in ("{", "[]", "{}", "[" * 100_000, '{"a":' * 100_000)},
 }

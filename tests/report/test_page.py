@@ -12,7 +12,7 @@ from ptne_env import FactorySpec, get_scenario, record
 from ptne_env.evaluation import EpisodeSet, Track, get_policy_spec
 from ptne_env.evaluation.metrics import number
 from ptne_env.report.page import Page, Section, results_page
-from ptne_env.report.tables import answer, text_table
+from ptne_env.report.tables import Cell, Column, Table, answer
 from ptne_env.report.traces import make_scene
 from ptne_env.shared.style import COLOURS, DARK, LIGHT
 
@@ -178,6 +178,6 @@ def test_a_browser_shows_charts_sorts_and_plays(open_file, text, tmp_path, hosti
     assert int(browser.locator("#player-frame").input_value()) > 117
 
 
-def test_a_page_of_words_needs_no_scene():
-    table = text_table("Claims", "claim", ("says",), [("<b>", "&")])
+def test_a_page_without_a_scene_escapes_its_words():
+    table = Table("Claims", "claim", ("<b>",), (Column("says", {"<b>": Cell("&")}),))
     assert "&lt;b&gt;" in Page("Paper", (Section("Claims", tables=(table,)),)).to_html()

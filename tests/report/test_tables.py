@@ -19,10 +19,9 @@ from ptne_env.report.tables import (
     answer,
     answer_table,
     leaders,
-    text_table,
     track_tables,
 )
-from ptne_env.report.terminal import answer_tables, draw_table, result_tables
+from ptne_env.report.terminal import answer_tables, result_tables
 from ptne_env.suites import leaderboard
 
 
@@ -194,11 +193,6 @@ def test_a_policy_that_cannot_act_is_named_with_the_reason(suite):
     for table in (robots, answer_table(suite)):
         (reason,) = [note for note in table.notes if note.startswith("n/a: ppo-nominal on robots: ")]
         assert "was made for another layout" in reason
-
-
-def test_words_are_wrapped_and_no_column_is_lost():
-    table = text_table("Claims", "claim", ("says",), [("one", 40 * "long "), ("two", "short")])
-    assert written(draw_table(table, 80), 80).split().count("long") == 40
 
 
 def test_numbers_have_three_digits():

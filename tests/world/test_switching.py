@@ -85,7 +85,7 @@ def test_mode_changes_at_every_switch_and_nowhere_else(dwells, start, length):
         ({"graphs": [graphs.path(3), graphs.path(4)], "dwells": [1, 1]}, "same number of players"),
         ({"graphs": [graphs.path(3)] * 2}, "dwell times"),
         ({"graphs": [graphs.path(3)] * 2, "dwells": [1.0]}, "one dwell time per graph"),
-        ({"graphs": [graphs.path(3)], "clock": "wall"}, "'physical' or 'transformed'"),
+        ({"graphs": [graphs.path(3)], "clock": "wall"}, "unknown clock of a topology"),
     ],
 )
 def test_inconsistent_topologies_are_refused(arguments, message):

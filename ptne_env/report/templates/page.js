@@ -15,8 +15,7 @@ function sortBy(heading) {
   const sign = order === "ascending" ? 1 : -1;
   const value = (row) => Number(row.cells[column].dataset.value ?? -Infinity * sign);  // without a value: last
   const text = (row) => row.cells[column].textContent;
-  const isText = column === 0 || body.querySelector(`tr > :nth-child(${column + 1}).text`);
-  const compare = (a, b) => isText ? text(a).localeCompare(text(b)) : value(a) - value(b) || 0;
+  const compare = (a, b) => column === 0 ? text(a).localeCompare(text(b)) : value(a) - value(b) || 0;
   body.append(...[...body.rows].sort((a, b) => sign * compare(a, b)));
 }
 
