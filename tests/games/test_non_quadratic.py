@@ -49,5 +49,5 @@ def test_best_response_and_regrets_are_refused_with_a_reason():
 
 
 def test_unknown_variant_is_refused():
-    with pytest.raises(ValueError, match="'printed' or 'corrected'"):
+    with pytest.raises(ValueError, match="unknown variant 'fixed'; choose from printed, corrected"):
         NonQuadraticGame("fixed")
