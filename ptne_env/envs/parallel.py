@@ -179,7 +179,6 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         self.agents = self.possible_agents.copy()
         if self._renderer is not None:
             self._renderer.reset(self._simulation.current)
-            self._render_human()
         first = {"diverged": np.False_, "clipped": np.int64(0), "is_success": self._simulation.is_success()[0]}
         first |= dict.fromkeys(self._simulation.reward_names, np.float64(0))
         # Copies, because a view gives its policy the observations of all players, in the attribute ``base``.
@@ -234,7 +233,6 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
             self.agents = []
         if self._renderer is not None:
             self._renderer.record(self._simulation.current)
-            self._render_human()
         return observations, rewards, dict.fromkeys(agents, terminated), dict.fromkeys(agents, truncated), infos
 
     def state(self) -> Float32Array:
@@ -288,10 +286,6 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         """Close the window, if one is open."""
         if self._renderer is not None:
             self._renderer.close()
-
-    def _render_human(self) -> None:
-        if self.render_mode == "human" and self._renderer is not None:
-            self._renderer.draw()
 
     def _stack(self, actions: Mapping[str, Any]) -> npt.NDArray[np.floating]:
         """Return all actions in the order of the agents, shape (1, N, action size)."""
