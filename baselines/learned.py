@@ -177,8 +177,7 @@ def worlds(without: str | None = None) -> tuple[Track, ...]:
     rotating = [track for seed in (77, 78, 79) for track in drawn(seed, "rotating")]
     others = [track for track in drawn(78, "a perfect channel", "complements") if "rotating" not in track.change]
     every = (*WORLDS, *drawn(77, most_steps=500)[:6], *HARDER_WORLDS, *rotating, *others[:10])
-    word = LEFT_OUT.get(without or "")
-    return tuple(track for track in every if word is None or word not in track.change)
+    return tuple(track for track in every if without is None or LEFT_OUT[without] not in track.change)
 
 
 SETTINGS = {"updates": 2600, "groups": 4, "cells": 100, "hidden": 48, "slot_hidden": 24}
@@ -194,7 +193,7 @@ def train(seeds: list[int], out: Path, without: str | None) -> None:
         if done % 50 == 0:
             print(f"seed {seed}: {done}/{total}, {digits:.3f} digits", flush=True)
 
-    name, updates, tracks = TRAINED, SETTINGS["updates"], worlds(without)
+    name, updates, tracks = TRAINED, SETTINGS["updates"], worlds(None if without == "nothing" else without)
     if without is not None:
         name, updates = f"{TRAINED}-without-{without}", updates // 4
     for seed in seeds:

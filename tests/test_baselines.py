@@ -160,6 +160,8 @@ def test_a_training_without_a_mechanism_lacks_the_worlds_that_have_it():
     left_out = {name: len(every) - len({track.name for track in learned.worlds(name)}) for name in learned.LEFT_OUT}
     assert left_out == {"liar": 5, "rounding": 9, "short-deadline": 2, "coupled": 2}
     assert {*left_out} <= {track.name for track in get_suite("ptne-v1").tracks}
+    with pytest.raises(KeyError, match="lair"):
+        learned.worlds("lair")
 
 
 def test_a_name_with_a_comma_survives_the_file_of_results(tmp_path):

@@ -63,7 +63,6 @@ class VectorParallelEnv:
         num_envs: B.
         num_players: N.
         layout: the layout of observations and actions.
-        max_cycles: the number of steps after which an episode is truncated, or ``None``.
         reward_names: the names of the reward terms in infos.
         over: whether each environment must start again before the next step, shape (B,), never changed in place.
         single_observation_space: the space of one player's observation.
@@ -98,10 +97,15 @@ class VectorParallelEnv:
             )
             for part in self._slices
         ]
-        self.max_cycles, self.reward_names = max_cycles, self._blocks[0].reward_names
+        self.reward_names = self._blocks[0].reward_names
         self.single_observation_space: spaces.Box = self.layout.observation_space()
         self.single_action_space: spaces.Box = self.layout.action_space()
         self.over = np.ones(self.num_envs, dtype=np.bool_)
+
+    @property
+    def max_cycles(self) -> int | None:
+        """The number of steps after which an episode is truncated, or ``None``."""
+        return self._blocks[0].max_cycles
 
     @property
     def estimates(self) -> FloatArray:

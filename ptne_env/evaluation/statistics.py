@@ -94,11 +94,14 @@ def _variance_of_mean(values: FloatArray) -> tuple[float, int]:
 
 
 def _squared_quantile(parts: Sequence[tuple[float, int]]) -> float:
-    """Return the square of Student's quantile for a sum of variances with these degrees of freedom; 0 if it is 0."""
+    """Return the square of Student's quantile for a sum of variances with these degrees of freedom; 0 if it is 0.
+
+    The degrees of freedom of the sum are those of Satterthwaite.
+    """
     variance = sum(part for part, _ in parts)
     if not variance:
         return 0.0
-    freedom = 1 / sum((part / variance) ** 2 / count for part, count in parts if count)  # Satterthwaite
+    freedom = 1 / sum((part / variance) ** 2 / count for part, count in parts if count)  # squares may underflow
     return float(special.stdtrit(freedom, (1 + CONFIDENCE) / 2) ** 2)
 
 

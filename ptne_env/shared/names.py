@@ -41,5 +41,5 @@ def suggestion(name: str, known: Iterable[str], otherwise: str = "") -> str:
     return f"choose from {listed}" + f", or {otherwise}" * bool(otherwise)
 
 
-def _plain(name: str) -> str:
+def _plain(name: object) -> str:
     return str(name).lower().replace("_", "-")

@@ -309,3 +309,10 @@ def test_a_reward_function_gets_all_environments_and_pays_nothing_for_a_restart(
     np.testing.assert_allclose(ours.rewards[~restart], (theirs.rewards - last)[~restart], rtol=1e-9, atol=1e-9)
     assert not ours.rewards[restart].any()
     assert np.array_equal(ours.infos["reward_function"], ours.rewards)
+
+
+def test_the_number_of_cycles_is_shown_and_set_once():
+    env = VectorParallelEnv("random-energy", 2, max_cycles=7)
+    assert env.max_cycles == 7
+    with pytest.raises(AttributeError):
+        env.max_cycles = 9
