@@ -11,6 +11,7 @@ import ptne_env
 from ptne_env import theory
 from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
 from ptne_env.evaluation import POLICIES, Track
+from ptne_env.suites import Suite
 
 PUBLIC = {name: getattr(ptne_env, name) for name in ptne_env.__all__}
 env = ptne_env.parallel_env("energy")
@@ -37,6 +38,10 @@ MISUSES = {
     "parallel_env('energy', start=np.zeros((3, 3)))": "for 3 players and dimension 3.*choose start='random'",
     "parallel_env('energy', channel='noisy')": "unknown channel 'noisy'; did you mean 'noise'",
     "parallel_env('energy', channel='noise')": r"missing .* 'std'; name it with .* FactorySpec.of\('channel:noise', ",
+    "parallel_env('energy', channel='noise(sd=0.1)')": r"'channel:noise' refuses its arguments \['sd'\]",
+    "parallel_env('energy', channel='noise(0.1)')": r"are written as in 'static\(kappa=4\)', got 'noise\(0.1\)'",
+    "parallel_env('energy', deadline=np.nan)": r"deadline must be a finite number above 0 \(T, in seconds\), got nan",
+    "parallel_env('energy', topology=[(0.1, nx.cycle_graph(5))])": "graphs that take turns are pairs with dwell times",
     "FactorySpec.of('channel:nois').build()": "unknown channel 'nois'; did you mean 'noise'",
     "FactorySpec.of(3)": "a part is named by a string, a class or a function, got 3",
     "FactorySpec.of('channel:noise', std=env)": "arguments of a part are numbers, strings, lists and parts, got Nash",
@@ -109,18 +114,21 @@ MISUSES = {
     "evaluate([5], 'energy')": r"a policy is a string, an object with predict, .*, got 5: wrap .*PolicySpec\(name, f",
     "evaluate({'mine': 5}, 'energy')": "policy 'mine' is 5: give a FactorySpec",
     "evaluate(['static', 'static'], 'energy')": "different names, got static, static; .* by a dictionary, {'mine': obj",
-    "evaluate('static', ['energy', 'energy'])": "needs different scenarios; energy would",
+    "evaluate('static', ['energy', 'energy'])": "different names, and 'energy' is there twice",
     "evaluate('static(kapa=4)', 'energy')": "unknown argument of static 'kapa'; did you mean 'kappa'",
     "evaluate('static(x=4)', 'energy')": "unknown argument of static 'x'; choose from kappa, gradient_gain",
     "evaluate('static(4)', 'energy')": r"are written as in 'static\(kappa=4\)', got 'static\(4\)'",
-    "evaluate('static(kappa=k)', 'energy')": "arguments of a policy are written as in",
-    "evaluate('static(kappa=4)()', 'energy')": "arguments of a policy are written as in",
+    "evaluate('static(kappa=', 'energy')": r"unknown policy 'static\(kappa='; did you mean 'static'",
+    "evaluate('static(kappa=k)', 'energy')": "arguments are written as in",
+    "evaluate('static(kappa=4)()', 'energy')": "arguments are written as in",
     "evaluate('ppo(x=1)', 'energy')": "policy 'ppo' is a file and takes no arguments",
     "evaluate([], 'energy')": "at least one policy",
     "evaluate('static', [])": "needs at least one scenario",
     "evaluate('no.such.module:thing', 'energy')": "cannot import",
     "evaluate('ptne_env.laws:NoSuchLaw', 'energy')": "has no 'NoSuchLaw'",
     "evaluate('static', 'builtins:dict')": "is a dict, not a Scenario",
+    "evaluate('static', 'ptne_env.suites.ptne_v1:SUITE')": "is a Suite, not a Scenario: name a track, as '",
+    "Suite('mine', (get_scenario('energy'),))": "a suite consists of tracks, .*, got a Scenario",
     "evaluate('mine.npz', 'energy')": "there is no file 'mine.npz'",
     "evaluate('static', 'energy', episodes=True)": "episodes must be a whole number of at least 1, got True",
     "evaluate('static', 'energy', seed=2**32)": r"a seed is below 2\^32",

@@ -12,8 +12,7 @@ import typer
 
 from ptne_env.cli.console import keep_stdout
 from ptne_env.evaluation import POLICIES
-from ptne_env.evaluation.policy_spec import read_call
-from ptne_env.shared.parts import foreign_targets, is_part
+from ptne_env.shared.parts import foreign_targets, is_part, read_call
 from ptne_env.world.catalogue import get_scenario, scenario_names
 from ptne_env.world.scenario import Scenario
 
@@ -58,7 +57,8 @@ SetOption: TypeAlias = Annotated[
     typer.Option(
         "--set",
         metavar="FIELD=VALUE",
-        help="Change a field of the scenario, such as deadline=2, start=random or players=7; repeat for several.",
+        help="Change a field of the scenario, such as deadline=2, players=7 or channel=noise(std=0.1); repeat for "
+        "several.",
     ),
 ]
 

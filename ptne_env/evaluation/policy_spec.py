@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ast
 import glob
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -21,7 +19,7 @@ from ptne_env.perception.policy import Policy, PolicyError, describe
 from ptne_env.shared.arrays import require_flag, require_printable
 from ptne_env.shared.files import require_file
 from ptne_env.shared.names import require_name, unknown_name
-from ptne_env.shared.parts import FactorySpec, foreign_targets, resolve
+from ptne_env.shared.parts import FactorySpec, foreign_targets, read_call, resolve
 
 MARKS = {
     "*": "an oracle: it uses information that players lack, and has no rank",
@@ -299,7 +297,14 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
     if policy in POLICIES:
         return POLICIES[policy]
     call, (name, separator, pattern) = read_call(policy), policy.partition("=")
-    if call is None and separator and name and Path(name).name == name and not Path(policy).is_file():
+    if (
+        call is None
+        and separator
+        and name
+        and "(" not in name
+        and Path(name).name == name
+        and not Path(policy).is_file()
+    ):
         paths = [pattern] if TRACK in pattern else sorted(glob.glob(pattern))  # noqa: PTH207 - it may be absolute
         if not paths:
             raise FileNotFoundError(f"there is no file {pattern!r}, which '{policy}' asks for")
@@ -309,19 +314,6 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
     if call is not None or ":" in policy:
         return PolicySpec(policy, FactorySpec.of(policy) if call is None else _with_arguments(*call))
     raise ValueError(unknown_name("policy", policy, POLICIES, "an .npz file or a 'module:object'"))
-
-
-def read_call(text: str) -> tuple[str, dict[str, Any]] | None:
-    """Return name and arguments, if any, of ``"static(kappa=4)"``; ``ValueError`` for other than named constants."""
-    if (parts := re.fullmatch(r"([^()=]+)\((.*)\)", text)) is None:
-        return None
-    try:
-        call = ast.parse(f"_({parts[2]})", mode="eval").body
-        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and not call.args:
-            return parts[1], {str(each.arg): ast.literal_eval(each.value) for each in call.keywords}
-    except (SyntaxError, ValueError):
-        pass
-    raise ValueError(f"arguments of a policy are written as in 'static(kappa=4)', got {text!r}")
 
 
 def _with_arguments(name: str, arguments: Mapping[str, Any]) -> FactorySpec:

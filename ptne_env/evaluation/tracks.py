@@ -118,6 +118,9 @@ class Suite:
     def __post_init__(self) -> None:
         require_count("a suite's number of episodes", self.episodes, 1)
         require_printable("the name of a suite", self.name)
+        given: tuple[Any, ...] = self.tracks
+        if kinds := [type(each).__name__ for each in given if not isinstance(each, Track)]:
+            raise ValueError(f"a suite consists of tracks, Track(name, scenario, change), got a {kinds[0]}")
         names = [track.name for track in self.tracks]
         if not names or len(set(names)) < len(names):
             raise ValueError(f"a suite needs tracks with different names, got {names}")
@@ -188,7 +191,10 @@ def compared_tracks(
             drawn = get_suite(suite).episode_set(name, episodes, seed=seed, split=split)
             track = replace(track, episodes=drawn.count)
         if track.name in {other.name for other in tracks}:
-            raise ValueError(f"a comparison needs different scenarios; {track.name} would be run more than once")
+            raise ValueError(
+                f"a comparison needs scenarios with different names, and {track.name!r} is there twice: give one another"
+                " name=, or leave it out"
+            )
         tracks[track] = drawn
     if not tracks:
         raise ValueError("a comparison needs at least one scenario")

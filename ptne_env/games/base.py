@@ -35,6 +35,9 @@ REGRET_TOLERANCE = 1e-8
 BOUNDS_ADVICE = "; give low and high where a cost has a pole or falls without end"
 """What the message of an unbounded game without an equilibrium ends with."""
 
+CONSTRAINT_ADVICE = "; a shared constraint that no strategy satisfies has none"
+"""What that of a bounded one ends with."""
+
 
 class NoBestResponseError(ValueError):
     """Some player's cost has no minimiser, so the game has no best response."""
@@ -275,15 +278,31 @@ class Game(Part, ABC):
             ArithmeticError: when the solver's point is not an equilibrium to 1e-10, or no minimum of a player's cost.
         """
         points = np.asarray(self._solve_nash_equilibria(), dtype=np.float64)
-        residuals = np.linalg.norm(self.natural_residual(points), axis=0)
-        if not np.all(residuals <= RESIDUAL_TOLERANCE * (1 + np.linalg.norm(points, axis=0))):
+        if not self._are_solved(points).all():
+            worst = np.linalg.norm(self.natural_residual(points), axis=0).max()
             raise ArithmeticError(
                 f"{type(self).__name__}: the point found has "
-                f"{'‖x − Π(x − F(x))‖' if self.box else '‖F(x)‖'} = {residuals.max():.3g}; no Nash equilibrium "
-                "was found" + BOUNDS_ADVICE * (self.box is None)
+                f"{'‖x − Π(x − F(x))‖' if self.box else '‖F(x)‖'} = {worst:.3g} and components of up to "
+                f"{np.abs(points).max():.3g}; no Nash equilibrium was found"
+                + (CONSTRAINT_ADVICE if self.box else BOUNDS_ADVICE)
             )
         self._require_minima(points)
         return freeze(points)
+
+    def _are_solved(self, points: FloatArray) -> BoolArray:
+        """Whether each of the points (n, G) solves x = Π(x − F(x)), shape (G,).
+
+        In a residual, x − F(x) is rounded to x where x is huge, as the price of a constraint is that no strategy
+        satisfies. So F itself must vanish inside the box, but for the rounding of its own terms.
+        """
+        size = np.linalg.norm(points, axis=0)
+        is_small = np.linalg.norm(self.natural_residual(points), axis=0) <= RESIDUAL_TOLERANCE * (1 + size)
+        if self.box is None:
+            return np.asarray(is_small)
+        room = np.minimum(points - self.box[0], self.box[1] - points)
+        terms = 1 + ordered_sum(np.abs(self.jacobian(points)) * np.abs(points), axis=1)
+        is_lost = np.abs(self.pseudo_gradient(points)) > RESIDUAL_TOLERANCE * terms
+        return np.asarray(is_small & ~(is_lost & (room > RESIDUAL_TOLERANCE * (1 + np.abs(points)))).any(axis=0))
 
     @cached_property
     def held_at_equilibrium(self) -> BoolArray:
@@ -404,15 +423,18 @@ class GameFamily(Part, ABC):
 
     @abstractmethod
     def draw(self, generators: Sequence[np.random.Generator]) -> Game:
-        """Draw one game per generator, as a batch of G = ``len(generators)`` games."""
+        """Draw one game per generator, as a batch of G = ``len(generators)`` games.
+
+        A batch is one game whose :attr:`Game.parameters` have a last axis for games.
+        """
 
 
 def require_strong_monotonicity(game: Game) -> None:
     """Raise ``ValueError`` for a batch of games, unless F is affine and dF + dFᵀ positive definite (Assumption 4)."""
     if not game.is_affine:
         raise ValueError(
-            f"strong monotonicity of {type(game).__name__} cannot be decided: F is not affine; a family of such games "
-            "declares is_strongly_monotone"
+            f"strong monotonicity of {type(game).__name__} cannot be decided: F is not affine; the family that draws "
+            "them declares is_strongly_monotone"
         )
     known = game.jacobian(np.zeros((game.dimension, game.batch_size)))
     symmetric = np.moveaxis(known + known.transpose(1, 0, 2), 2, 0) / 2
@@ -421,6 +443,6 @@ def require_strong_monotonicity(game: Game) -> None:
     except np.linalg.LinAlgError:
         smallest = np.linalg.eigvalsh(symmetric)[:, 0]
         raise ValueError(
-            f"game {int(smallest.argmin())} of the batch is not strongly monotone: ε = {smallest.min():.3g}; a family "
-            "of such games declares is_strongly_monotone = False"
+            f"game {int(smallest.argmin())} of the batch is not strongly monotone: ε = {smallest.min():.3g}; the "
+            "family that draws such games declares is_strongly_monotone = False"
         ) from None

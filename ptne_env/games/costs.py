@@ -88,14 +88,14 @@ class CostGame(Game):
         if not (is_numpy(costs) and costs.dtype.kind in "fi"):
             raise ValueError(
                 f"{name}.costs maps an array of numpy to one of numpy, and an array of JAX to one of JAX, with the "
-                f"functions of xp = x.__array_namespace__(); it returned a {type(costs).__module__} "
-                f"{type(costs).__name__}"
+                f"functions of xp = x.__array_namespace__(), such as xp.stack(rows); it returned a "
+                f"{type(costs).__module__} {type(costs).__name__}"
             )
         if not np.isfinite(costs).all():
             player, column = np.argwhere(~np.isfinite(costs))[0]
             raise ValueError(
-                f"{name}: the cost of player {player} is {costs[player, column]} at x = {points[:, column]}: bound the "
-                "strategies, with low= and high=, to where costs are finite"
+                f"{name}: the cost of player {player} is {costs[player, column]} at x = {points[:, column]}: are all "
+                "numbers of the game finite? Or bound the strategies, with low= and high=, to where costs are finite"
             )
         first = slice(self.batch_size)
         alone = self._checked_costs(points[:, first])
@@ -260,6 +260,8 @@ class CostGame(Game):
         points = self._spread(np.full((self.dimension, 1), 0.5), np.zeros((self.dimension, self.batch_size)))
         for _ in range(5):
             points = solve_box(self.pseudo_gradient, self.jacobian, *self.bounds, points)
+            if not self._are_solved(points).all():
+                break
             response, found = self._respond(points)
             if not np.any(self._savings(points, response) > REGRET_TOLERANCE) or not found.all():
                 break

@@ -6,7 +6,9 @@ Any other callable is named by ``module:object``.
 
 from __future__ import annotations
 
+import ast
 import importlib
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
@@ -168,6 +170,19 @@ def make(target: str) -> Any:
     """Return what a target names, or what it makes if it is a function or a class; errors are those of resolve."""
     named = resolve(target)
     return named() if callable(named) else named
+
+
+def read_call(text: str) -> tuple[str, dict[str, Any]] | None:
+    """Return name and arguments, if any, of ``"static(kappa=4)"``; ``ValueError`` for other than named constants."""
+    if (parts := re.fullmatch(r"([^()=]+)\((.*)\)", text)) is None:
+        return None
+    try:
+        call = ast.parse(f"_({parts[2]})", mode="eval").body
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and not call.args:
+            return parts[1], {str(each.arg): ast.literal_eval(each.value) for each in call.keywords}
+    except (SyntaxError, ValueError):
+        pass
+    raise ValueError(f"arguments are written as in 'static(kappa=4)', got {text!r}")
 
 
 def checked(check: Callable[..., Any], *limits: Any, default: Any = MISSING) -> Any:
@@ -390,7 +405,8 @@ class FactorySpec:
             if not arguments and not isinstance(error, TypeError):
                 raise  # without arguments the mistake is in the target
             names = sorted(arguments | extra)
-            advice = f"; name it with arguments, FactorySpec.of({self.target!r}, ...)" * (not names)
+            ways = f"'{self.target}(...)' or FactorySpec.of({self.target!r}, ...)"
+            advice = f"; name it with arguments, {ways}" * (not names)
             raise ValueError(f"part {self.target!r} refuses its arguments {names}: {error}{advice}") from error
 
     def _as_value(self, /, **extra: Any) -> Any:

@@ -116,7 +116,9 @@ def _find_scenario(name: str) -> Scenario:
     made = make(target_of("suite", suite) if suite else name)
     found = made.scenario(track) if suite and hasattr(made, "scenario") else made
     if not isinstance(found, Scenario):
-        raise ValueError(f"{name!r} is a {type(found).__name__}, not a Scenario")
+        is_suite = hasattr(found, "tracks")
+        advice = f": name a track, as '{name}/TRACK', or play it with run_suite or 'ptne compare --suite {name}'"
+        raise ValueError(f"{name!r} is a {type(found).__name__}, not a Scenario" + advice * is_suite)
     return found
 
 

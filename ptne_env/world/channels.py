@@ -137,6 +137,30 @@ class Channel(Part, ABC):
         """
 
 
+def require_messages(channel: Channel, senders: IntArray, owners: IntArray) -> None:
+    """Try each stage of a channel in a world whose ``senders`` (D, N) all say 0.
+
+    Raises:
+        ValueError: when it does not return messages and a memory, or messages of another shape, or not finite.
+    """
+    live = np.ones((*senders.shape, 1), dtype=np.bool_)
+    sent = Messages(np.zeros((len(senders), len(owners), *live.shape[1:])), live, live.astype(np.float64))
+    randomness = LinkRandomness(np.zeros(1, dtype=np.uint64), np.zeros(1, dtype=np.int64), senders, owners)
+    for stage in channel.stages if isinstance(channel, Chain) else (channel,):
+        rule = f"{type(stage).__name__}.transmit returns (messages, memory), messages being like those that it gets"
+        memory: Memory | None = None
+        for _ in range(2):
+            answer: Any = stage.transmit(sent, memory, randomness)
+            if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], Messages)):
+                raise ValueError(f"{rule}; it returned a {type(answer).__name__}")
+            received, memory = answer
+            for name, expected in vars(sent).items():
+                found = np.asarray(getattr(received, name))
+                if found.shape != expected.shape or not np.isfinite(found).all():
+                    fault = f"the shape {found.shape}, not {expected.shape}" * (found.shape != expected.shape)
+                    raise ValueError(f"{rule}; its {name} have {fault or 'entries that are not finite'}")
+
+
 class Chain(Channel):
     """Stages in sequence; the perfect channel if there are none.
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ptne_env.shared.arrays import require_printable
 from ptne_env.shared.names import require_name
-from ptne_env.shared.parts import FactorySpec, Part, as_tuples, target_of
+from ptne_env.shared.parts import FactorySpec, Part, as_tuples, read_call, target_of
 
 if TYPE_CHECKING:  # so that the registries can read the catalogue without importing what builds a world
     from ptne_env.world.clock import Spacing
@@ -36,7 +36,8 @@ def _as_spec(field: str, value: Any) -> FactorySpec:
     if isinstance(value, str):
         if (field, value) == ("start", "random"):
             return UNIFORM_START
-        return FactorySpec.of(target_of(field, value, *["random"] * (field == "start")))
+        name, arguments = read_call(value) or (value, {})
+        return FactorySpec.of(target_of(field, name, *["random"] * (field == "start")), **arguments)
     value = as_tuples(_read_topology(value) if field == "topology" else value)
     if isinstance(value, Part | type | FunctionType):
         return FactorySpec.of(value)
@@ -55,10 +56,10 @@ def _read_topology(value: Any) -> Any:
     from ptne_env.world.switching import SwitchingTopology
 
     first = value[0] if isinstance(value, list | tuple) and value else 0.0
-    entry = first[0] if isinstance(first, list | tuple) and first else first
-    if isinstance(entry, Real | str) or getattr(entry, "ndim", 2) < 2:  # of a matrix
+    entries = first if isinstance(first, list | tuple) else [first]
+    if all(isinstance(entry, Real | str) or getattr(entry, "ndim", 2) < 2 for entry in entries):  # of a matrix
         return adjacency(value)
-    if not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in value):
+    if not all(isinstance(pair, list | tuple) and len(pair) == 2 and isinstance(pair[1], Real) for pair in value):
         raise ValueError("graphs that take turns are pairs with dwell times, such as [(ring, 0.1), (star, 0.2)]")
     return SwitchingTopology([graph for graph, _ in value], [dwell for _, dwell in value])
 
@@ -69,9 +70,10 @@ class Scenario:
 
     A scenario only names its parts; :class:`~ptne_env.world.world.World` builds and checks them. ``game``,
     ``topology``, ``start``, ``transformation``, ``channel`` and ``disturbance`` accept a
-    :class:`~ptne_env.shared.parts.FactorySpec`, the id of a part, whole or without its kind (``game="energy"``), a
-    ``"module:object"`` string, or the part itself (``game=MyGame(2.0)``), its class or a function that makes it, and
-    hold a FactorySpec afterwards, which :meth:`~ptne_env.shared.parts.FactorySpec.of` explains.
+    :class:`~ptne_env.shared.parts.FactorySpec`, the id of a part, whole or without its kind, and perhaps with arguments
+    (``channel="noise(std=0.1)"``), a ``"module:object"`` string, or the part itself (``game=MyGame(2.0)``), its class
+    or a function that makes it, and hold a FactorySpec afterwards, which
+    :meth:`~ptne_env.shared.parts.FactorySpec.of` explains.
 
     Attributes:
         name: for tables and files.
@@ -128,7 +130,7 @@ class Scenario:
             if value is not None or field != "disturbance":
                 object.__setattr__(self, field, _as_spec(field, value))
         arguments = dict(self.transformation.arguments)
-        if (own := arguments.pop("deadline", self.deadline)) != self.deadline:
+        if (own := arguments.pop("deadline", None)) not in (None, self.deadline):
             raise ValueError(
                 f"the transformation has the deadline {own} and the scenario {self.deadline}: say deadline={own}, too"
             )

@@ -15,7 +15,7 @@ from ptne_env.shared.arrays import FloatArray, IntArray, freeze, require_count, 
 from ptne_env.shared.counter_random import CounterArray
 from ptne_env.shared.parts import FactorySpec
 from ptne_env.shared.random_streams import RandomStreams
-from ptne_env.world.channels import Chain, Channel, Range
+from ptne_env.world.channels import Chain, Channel, Range, require_messages
 from ptne_env.world.clock import StepClock, TimeTransformation
 from ptne_env.world.disturbances import Disturbance
 from ptne_env.world.graphs import Graph
@@ -110,6 +110,7 @@ class World:
         # A fixed start whose table has the wrong shape fails here and not at the first reset.
         self.start.draw(self.game.num_players, self.game.dimension, np.random.default_rng(0))
         self._tabulate_neighbours()
+        require_messages(self.channel, self.neighbours, self.game.owners)
         self._tabulate_time()
         for doubt in self._doubts():
             warnings.warn(f"scenario {scenario.name!r}: {doubt}", stacklevel=2)

@@ -14,6 +14,7 @@ from ptne_env.games import (
     NetworkedCournot,
     NoBestResponseError,
     NonQuadraticGame,
+    QuadraticGame,
     RandomAffine,
     RandomEnergy,
     price_constraint,
@@ -127,3 +128,16 @@ def test_wrong_arguments_of_the_family_are_named(arguments, message):
 def test_constraints_of_another_shape_are_refused(rows, limit):
     with pytest.raises(ValueError, match=r"constraint is \(m, 5\) and limit \(m,\)"):
         price_constraint(EnergyGame(), rows, limit)
+
+
+def at_most_one_and_at_least_two(x):
+    return [x[0] - 1, 2 - x[0]]
+
+
+def test_a_constraint_that_no_strategy_satisfies_has_no_equilibrium():
+    """Prices rise without end there, and beside a price of 1e16 no residual counts."""
+    game = QuadraticGame(np.eye(2), np.zeros(2))
+    rows, limits = np.array([[1.0, 0.0], [-1.0, 0.0]]), [1.0, -2.0]
+    for infeasible in (price_constraint(game, at_most_one_and_at_least_two), price_constraint(game, rows, limits)):
+        with pytest.raises(ArithmeticError, match="a shared constraint that no strategy satisfies has none"):
+            _ = infeasible.nash_equilibria

@@ -405,6 +405,37 @@ def test_invalid_channels_are_refused(name):
         World(FIXED.replace(channel=channel_part(kind, **arguments)))
 
 
+class Wrong(Channel):
+    """A channel that answers what it should not."""
+
+    kind: str = "nothing"
+
+    def transmit(self, messages, memory, randomness):
+        return {
+            "nothing": None,
+            "no memory": messages,
+            "no messages": (messages.values, ()),
+            "NaN": (replace(messages, values=messages.values * np.nan), ()),
+            "another shape": (replace(messages, values=messages.values[:1]), ()),
+        }[self.kind]
+
+
+WRONG = {
+    "nothing": "returned a NoneType",
+    "no memory": "returned a Messages",
+    "no messages": "returned a tuple",
+    "NaN": "values have entries that are not finite",
+    "another shape": r"values have the shape \(1, ",
+}
+
+
+@pytest.mark.parametrize("kind", WRONG)
+def test_a_channel_that_answers_in_another_form_is_refused(kind):
+    """Such values would otherwise be those of observations, and policies would be blamed."""
+    with pytest.raises(ValueError, match=f"Wrong.transmit returns .messages, memory.*{WRONG[kind]}"):
+        World(FIXED.replace(channel=Chain([channel_part("AdditiveNoise", std=0.3).build(), Wrong(kind)])))
+
+
 class EveryLinkLive(Channel):
     """A channel that reports a message on every link, up or down."""
 
