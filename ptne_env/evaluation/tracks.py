@@ -192,8 +192,8 @@ def compared_tracks(
             track = replace(track, episodes=drawn.count)
         if track.name in {other.name for other in tracks}:
             raise ValueError(
-                f"a comparison needs scenarios with different names, and {track.name!r} is there twice: give one another"
-                " name=, or leave it out"
+                f"a comparison needs scenarios with different names, and {track.name!r} is there twice: give one "
+                "another name=, or leave it out"
             )
         tracks[track] = drawn
     if not tracks:
