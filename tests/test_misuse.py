@@ -8,9 +8,10 @@ import pettingzoo
 import pytest
 
 import ptne_env
-from ptne_env import theory
+from ptne_env import learn, theory
 from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
 from ptne_env.evaluation import POLICIES, Track
+from ptne_env.execution import Runner
 from ptne_env.suites import Suite
 
 PUBLIC = {name: getattr(ptne_env, name) for name in ptne_env.__all__}
@@ -129,6 +130,8 @@ MISUSES = {
     "evaluate('static', 'builtins:dict')": "is a dict, not a Scenario",
     "evaluate('static', 'ptne_env.suites.ptne_v1:SUITE')": "is a Suite, not a Scenario: name a track, as '",
     "Suite('mine', (get_scenario('energy'),))": "a suite consists of tracks, .*, got a Scenario",
+    "learn.load('recurrent-random-worlds', env)": "loaded for a layout, such as env.layout, got a NashSeekingEnv",
+    "Runner('results', 4)": r"the workers of a runner are Workers\(4\), for example; got 4",
     "evaluate('mine.npz', 'energy')": "there is no file 'mine.npz'",
     "evaluate('static', 'energy', episodes=True)": "episodes must be a whole number of at least 1, got True",
     "evaluate('static', 'energy', seed=2**32)": r"a seed is below 2\^32",

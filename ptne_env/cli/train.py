@@ -93,8 +93,11 @@ def train(
         values["steps" if trainer.unit == "agent-steps" else "updates"] = steps
     first: Run = kind(scenario, seed=seed, **values)
     options.require_trust(options.foreign_names(first.scenario), trust=trust)
-    runs = {out: first}
+    track, runs = find_track(first.scenario), {out: first}
     if seeds is not None:
+        for folder in out.glob("seed-*"):  # also those that are not trained now: they are compared together
+            if (number := folder.name.removeprefix("seed-")).isdigit():
+                read_finished_run(replace(first, seed=int(number)), folder)
         series = [replace(first, seed=first.seed + index) for index in range(seeds)]
         runs = {out / f"seed-{run.seed}": run for run in series}
     picture = out / "learning-curve.png"
@@ -108,7 +111,7 @@ def train(
     digits = [summary.digits for summary in summaries.values()]
     if seeds is not None:
         say(f"Mean of {seeds} seeds: {sum(digits) / seeds:.2f} digits, from {min(digits):.2f} to {max(digits):.2f}")
-    laws = evaluate_laws(find_track(first.scenario))
+    laws = evaluate_laws(track)
     law = laws.summary(laws.tracks[0].name, LAW, "digits")
     if law is not None and law.mean is not None and max(digits) < law.mean:
         say(f"The paper's law, {LAW}, has {law.mean:.2f} digits on validation episodes: more --steps may beat it")

@@ -250,10 +250,12 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
     def get_state(self) -> State:
         """Return the state now, a batch of one, for :func:`ptne_env.world.dynamics.step` and :meth:`set_state`.
 
+        Its arrays are its own.
+
         Raises:
             RuntimeError: before the first reset.
         """
-        return self._simulation.current
+        return dynamics.concatenate([self._simulation.current])
 
     def set_state(self, state: State) -> None:
         """Continue the episode from a state, a batch of one of the same world; its game may be another one.
@@ -329,4 +331,16 @@ def aec_env(scenario: str | Scenario = "energy", **arguments: Any) -> AECEnv:
 
     The order of calls is checked. Arguments and errors are those of :func:`ptne_env.parallel_env`.
     """
-    return OrderEnforcingWrapper(parallel_to_aec_wrapper(parallel_env(scenario, **arguments)))
+    return OrderEnforcingWrapper(_TurnBasedEnv(parallel_env(scenario, **arguments)))
+
+
+class _TurnBasedEnv(parallel_to_aec_wrapper):
+    """PettingZoo's conversion, which keeps actions until the last player has acted; here each is checked at once."""
+
+    def step(self, action: Any) -> None:
+        agent = self.agent_selection
+        if not (self.terminations[agent] or self.truncations[agent]):
+            fault = find_action_fault(action, self.action_space(agent).shape)
+            if fault:
+                raise ValueError(f"the action of {agent} {fault}")
+        super().step(action)

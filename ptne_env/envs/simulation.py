@@ -103,7 +103,7 @@ def read_estimates(layout: ObservationLayout, num_envs: int, estimates: npt.Arra
         ValueError: for another shape, or for entries that are not numbers.
     """
     try:
-        table = as_plain("initial estimates", estimates).astype(np.float64)
+        table = as_plain("initial estimates", estimates).astype(np.float64, casting="same_kind")
     except (TypeError, ValueError) as error:
         raise ValueError(f"initial estimates are an (N, n) or (B, N, n) table of numbers: {error}") from error
     shape = (num_envs, layout.num_players, layout.dimension)

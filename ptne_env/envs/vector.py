@@ -209,7 +209,7 @@ class VectorParallelEnv:
             over = np.flatnonzero(halted)
             raise RuntimeError(
                 f"{over.size} of {self.num_envs} environments are over or not started (the first is {over[0]}): call "
-                "reset(mask=...) before step()"
+                "reset() for them before the next step"
             )
         actions = as_plain("actions", actions)
         shape = (self.num_envs, self.num_players, self.layout.action_size)
@@ -218,7 +218,10 @@ class VectorParallelEnv:
         if actions.dtype.kind != "f":
             actions = actions.astype(np.float64)
         if not np.isfinite(actions).all():  # before any block has moved
-            raise ValueError("actions must be numbers without NaN or infinity")
+            env, player, _ = np.argwhere(~np.isfinite(actions))[0]
+            raise ValueError(
+                f"actions must be numbers without NaN or infinity; that of player_{player} in environment {env} is not"
+            )
         drawn: Sequence[EpisodeStart | None] = [None] * len(self._blocks) if restart is None else self._draw(restart)
         observations = self._new_observations()
         outcomes = [

@@ -182,11 +182,13 @@ class Results:
             metric: the name of the metric.
 
         Raises:
-            ValueError: for an unknown policy or metric.
+            ValueError: for an unknown policy, track or metric.
         """
         for name in (policy, other):
             require_name("policy", name, self.policies)
-        names = self.counted_tracks if tracks is None else [tracks] if isinstance(tracks, str) else tracks
+        names = self.counted_tracks if tracks is None else [tracks] if isinstance(tracks, str) else list(tracks)
+        for name in names:
+            require_name("track", name, self.episodes)
         pairs = [(self.values(track, policy, metric), self.values(track, other, metric)) for track in names]
         both = [(mine, theirs) for mine, theirs in pairs if mine is not None and theirs is not None]
         return estimate([mine for mine, _ in both], minus=[theirs for _, theirs in both])

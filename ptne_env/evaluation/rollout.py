@@ -179,6 +179,7 @@ def rollout(
 
     Raises:
         PolicyError: as :meth:`Member.decide`.
+        ValueError: when the teammates fail.
     """
     world, batch = encoder.world, dynamics.batch_size(start)
     clock, players = world.clock, range(world.game.num_players)
@@ -190,7 +191,10 @@ def rollout(
     for step in range(clock.total_steps + 1):
         inputs = member.decide(state) if step < clock.total_steps else None
         if teammates is not None and inputs is not None:
-            inputs += teammates.decide(state)
+            try:
+                inputs += teammates.decide(state)
+            except PolicyError as error:  # which is no failure of the policy
+                raise ValueError(f"the teammates fail: {error}") from error
         if watch is not None:
             watch(state, inputs)
         numbers = record_instant(state)

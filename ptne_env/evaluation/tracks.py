@@ -11,6 +11,8 @@ from ptne_env.evaluation.episodes import EpisodeSet, Split
 from ptne_env.evaluation.policy_spec import PolicySpec
 from ptne_env.evaluation.rollout import Member
 from ptne_env.perception.encoder import Encoder
+from ptne_env.perception.observation import LayoutError
+from ptne_env.perception.policy import PolicyError
 from ptne_env.shared.arrays import require_count, require_flag, require_printable
 from ptne_env.shared.names import require_name
 from ptne_env.shared.parts import FactorySpec, foreign_targets, make, resolve, target_of
@@ -37,7 +39,10 @@ class Teammates:
         """
         spec = PolicySpec("teammates", self.policy)
         encoder = Encoder(world, spec.interface)
-        return Member(spec.build(encoder.layout), encoder, self.players)
+        try:
+            return Member(spec.build(encoder.layout), encoder, self.players)
+        except (LayoutError, PolicyError) as error:
+            raise ValueError(f"the teammates, {self.policy}, cannot play {world.scenario.name!r}: {error}") from error
 
 
 @dataclass(frozen=True)

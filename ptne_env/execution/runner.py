@@ -106,6 +106,11 @@ class Runner:
     workers: Workers = Workers()  # noqa: RUF009 - immutable
     progress: Callable[[str, int, int], None] | None = None
 
+    def __post_init__(self) -> None:
+        workers: Any = self.workers
+        if not hasattr(workers, "run"):
+            raise TypeError(f"the workers of a runner are Workers(4), for example; got {workers!r}")
+
     def __call__(self, jobs: Sequence[Job]) -> list[JobResult]:
         """Return the results of jobs, in their order.
 

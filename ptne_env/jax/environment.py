@@ -89,6 +89,7 @@ class JaxWorld:
     def reset(self, key: jax.Array, num_envs: int = 1) -> State:
         """The state at t = 0 of new episodes. That of an environment is the same for any number of them."""
         require_x64()
+        require_count("num_envs", num_envs, 1)
         seed = jax.random.bits(key, (1,), jnp.uint64)
         of_episode = counter_random.words(seed, jnp.arange(num_envs, dtype=jnp.uint64))
         keys = [counter_random.child_keys(of_episode, purpose) for purpose in range(5)]
@@ -116,8 +117,9 @@ class JaxWorld:
         """The next state: x_{k+1} = x_k + Θ_k u_k with all parts of the world. Inputs u_k are (n, N, B).
 
         An environment that leaves the range, or is given an input that is not finite, has diverged: it stays where it
-        is, and no gradient passes through it.
+        is, and no gradient passes through it. Raises ``ValueError`` for inputs of another shape.
         """
+        _require_shape("inputs", inputs, state.estimates.shape)
         with self._naming_parts():
             return dynamics.step(self._world, state, inputs)
 
@@ -157,8 +159,12 @@ class JaxWorld:
         return jnp.concatenate([jnp.broadcast_to(part.astype(self.dtype), (len(part), *shape)) for part in parts])
 
     def inputs(self, state: State, actions: jax.Array) -> jax.Array:
-        """The inputs within the input limit that actions (n, N, B) in the world's interface ask for, (n, N, B)."""
+        """The inputs within the input limit that actions (n, N, B) in the world's interface ask for, (n, N, B).
+
+        Raises ``ValueError`` for actions of another shape.
+        """
         layout, bound = self.layout, self.layout.action_bound
+        _require_shape("actions", actions, state.estimates.shape)
         actions = jnp.clip(actions.astype(self.dtype), -bound, bound).astype(jnp.float64)
         if not layout.is_scaled:
             return actions
@@ -202,6 +208,12 @@ class JaxWorld:
                 f"library of its arrays, xp = array_namespace(x): {type(error).__name__} in {frames[-1].filename}, "
                 f"line {frames[-1].lineno}"
             ) from error
+
+
+def _require_shape(name: str, array: Any, shape: tuple[int, ...]) -> None:
+    """Raise ``ValueError`` for an array of another shape, as JAX would read beyond the ends of one without a word."""
+    if np.shape(array) != shape:
+        raise ValueError(f"{name} have the shape (n, N, B) = {shape}, got {np.shape(array)}")
 
 
 def require_x64() -> None:

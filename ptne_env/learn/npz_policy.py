@@ -29,7 +29,12 @@ def seal(weights: Weights, training: Mapping[str, Any] | Metadata) -> bytes:
     Args:
         weights: those of a :class:`RecurrentPolicy`, or of a :class:`LayeredPolicy`.
         training: how a recurrent policy was trained; for a layered one, also where it can act.
+
+    Raises:
+        ValueError: when a weight is not finite.
     """
+    if not all(np.isfinite(each).all() for each in weights.values()):
+        raise ValueError("a weight is not finite: the training diverged, and may not with a smaller learning_rate")
     arrays = {name: np.asarray(weights[name], dtype=np.float32) for name in sorted(weights)}
     described = training.to_dict() if isinstance(training, Metadata) else dict(training)
     kind = "layered" if isinstance(training, Metadata) else "training"

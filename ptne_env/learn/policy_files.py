@@ -101,7 +101,10 @@ def load(path_or_name: str | Path, layout: ObservationLayout | None = None) -> R
         DamagedFileError: when the file is too large or no regular file.
         PolicyFileError: when the file is damaged, foreign or of another version.
         LayoutError: when the policy was made for another layout.
+        TypeError: for a layout that is none, such as an environment.
     """
+    if not isinstance(layout, ObservationLayout | None):
+        raise TypeError(f"a policy is loaded for a layout, such as env.layout, got a {type(layout).__name__}")
     path = find_file(path_or_name)
     if path.suffix not in DATA.endings:
         path = shipped_path(str(path_or_name))  # which says what there is

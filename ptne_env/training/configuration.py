@@ -72,9 +72,12 @@ class Configuration:
         require_count("seed", self.seed, 0)
         require_positive("learning_rate", self.learning_rate)
         require_probability("discount", self.discount)
-        require_probability("-log_std / 20", -self.log_std / 20)
-        if not isinstance(self.hidden, list | tuple):
-            raise ValueError(f"hidden must be a list of units, got {self.hidden!r}")
+        log_std: Any = self.log_std
+        if not (isinstance(log_std, int | float) and -20 <= log_std <= 0):
+            raise ValueError(f"log_std must be from -20 to 0, got {log_std!r}")
+        hidden: Any = self.hidden
+        if not (isinstance(hidden, list | tuple) and hidden):
+            raise ValueError(f"hidden must be a list of units, got {hidden!r}")
         object.__setattr__(self, "hidden", tuple(require_count("hidden", units, 1) for units in self.hidden))
 
     def environments(self, players: int) -> int:

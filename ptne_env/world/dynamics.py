@@ -149,8 +149,18 @@ def restore(world: World, state: State, batch: int) -> State:
         raise ValueError(f"a state is a ptne_env.world.dynamics.State, got {type(state).__name__}")
     known, last = world.game, world.clock.total_steps
     expected = known.dimension, known.num_players, batch
-    if state.estimates.shape != expected or state.step.shape != (batch,):
-        raise ValueError(f"a state of this environment has estimates of shape {expected}, got {state.estimates.shape}")
+    for name, kinds, shape in (
+        ("step", "iu", (batch,)),
+        ("estimates", "f", expected),
+        ("own_gradients", "f", (known.dimension, batch)),
+        ("diverged", "b", (batch,)),
+    ):
+        array = np.asarray(getattr(state, name))
+        if array.shape != shape or array.dtype.kind not in kinds:
+            what = f"of shape {shape} and a dtype of kind {kinds!r}"
+            raise ValueError(f"a state of this environment has {name} {what}, got {array.dtype} of shape {array.shape}")
+    if not isinstance(state.game, Game):
+        raise ValueError(f"the game of a state is a Game, got a {type(state.game).__name__}")
     if not np.all((state.step >= 0) & (state.step <= last)):
         raise ValueError(f"a step of this environment is 0 to {last}, got {state.step.tolist()}")
     if not _in_range(state.estimates):
@@ -180,7 +190,8 @@ def restore(world: World, state: State, batch: int) -> State:
         )
     gradients = np.where(state.diverged, state.own_gradients, _own_gradients(game, state.estimates))
     diverged = state.diverged | ~_is_near(state.estimates, gradients)
-    restored = state._replace(game=game, own_gradients=_clip(gradients), diverged=diverged)
+    estimates, gradients = state.estimates.copy(), _clip(gradients)
+    restored = state._replace(game=game, estimates=estimates, own_gradients=gradients, diverged=diverged)
     return restored._replace(any_diverged=bool(diverged.any()))
 
 

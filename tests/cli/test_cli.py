@@ -518,6 +518,16 @@ def test_an_algorithm_has_settings_of_its_own_which_may_be_changed(run, monkeypa
     assert second == first | {"steps": 10, "epochs": 3}
 
 
+def test_seeds_of_another_run_in_the_same_folder_are_refused(run, tmp_path):
+    """Otherwise the pattern of the printed command would compare both runs as seeds of one policy."""
+    need_jax()
+    from ptne_env.training.configuration import Configuration, write_record
+
+    write_record(tmp_path / "seed-7" / "configuration.json", Configuration("energy", hidden=(8,), seed=7))
+    printed = run(f"train energy --seeds 1 --out {tmp_path}").err
+    assert f"{tmp_path}/seed-7 holds another run: hidden is [8] there and [64, 64] here" in printed
+
+
 def test_a_training_says_whether_its_last_fifth_still_gained(run, monkeypatch):
     need_jax()
     need_matplotlib()

@@ -190,10 +190,10 @@ def test_a_state_of_another_world_is_refused(name, other):
     env, foreign = ptne_env.parallel_env(name), ptne_env.parallel_env(other)
     env.reset(seed=1)
     foreign.reset(seed=1)
-    before = env.get_state()
+    before = env._simulation.current
     with pytest.raises(ValueError, match="another world: its random draws, active graphs, received messages are not"):
         env.set_state(foreign.get_state())
-    assert env.get_state() is before
+    assert env._simulation.current is before
 
 
 @pytest.mark.parametrize(
@@ -202,17 +202,49 @@ def test_a_state_of_another_world_is_refused(name, other):
         ({"step": np.array([10**6])}, r"0 to 400, got \[1000000\]"),
         ({"step": np.array([-5])}, r"0 to 400, got \[-5\]"),
         ({"estimates": np.full((5, 5, 1), np.nan)}, "finite"),
+        ({"estimates": np.zeros((5, 5, 1), dtype=object)}, r"has estimates of shape \(5, 5, 1\) .*, got object"),
+        ({"step": np.array([3.0])}, r"has step of shape \(1,\) and a dtype of kind 'iu', got float64"),
+        ({"step": 3}, r"has step of shape \(1,\) .*, got int64 of shape \(\)"),
+        ({"own_gradients": None}, "has own_gradients of shape"),
+        ({"game": "energy"}, "the game of a state is a Game, got a str"),
     ],
 )
 def test_a_damaged_state_is_refused_and_the_state_stays(changes, message):
     env = ptne_env.parallel_env("energy")
     env.reset(seed=1)
-    before = env.get_state()
+    before = env._simulation.current
     with pytest.raises(ValueError, match=message):
         env.set_state(before._replace(**changes))
     with pytest.raises(ValueError, match="got NoneType"):
         env.set_state(None)
-    assert env.get_state() is before
+    assert env._simulation.current is before
+
+
+def test_a_state_shares_no_array_with_the_environment():
+    env, undisturbed = ptne_env.parallel_env("energy"), ptne_env.parallel_env("energy")
+    for each in (env, undisturbed):
+        each.reset(seed=1)
+    given = env.get_state()
+    given.estimates[...] = env.nash_equilibrium[:, None, None]
+    given = undisturbed.get_state()
+    env.set_state(given)
+    given.estimates[...] = given.own_gradients[...] = 0
+    actions = dict.fromkeys(env.agents, np.ones(5, dtype=np.float32))
+    assert env.step(actions)[1] == undisturbed.step(actions)[1]
+
+
+@pytest.mark.parametrize(("action", "fault"), [(np.full(5, np.nan), "is not finite"), (np.zeros(4), "has the shape")])
+def test_a_wrong_action_in_turns_is_refused_at_once_and_the_player_may_act_again(action, fault):
+    """PettingZoo's conversion keeps it until the last player has acted, and then nobody can correct it."""
+    env, good = aec_env("energy"), np.zeros(5, dtype=np.float32)
+    env.reset(seed=1)
+    env.step(good)
+    with pytest.raises(ValueError, match=f"the action of player_1 {fault}"):
+        env.step(action)
+    for agent in env.agents[1:]:
+        assert env.agent_selection == agent
+        env.step(good)
+    assert env.unwrapped.time > 0
 
 
 def reachable(array):

@@ -177,7 +177,7 @@ def test_the_first_reset_starts_every_environment(block_size):
 def test_step_of_environments_that_are_over_or_not_started_names_the_first(block_size):
     env = make(steps=30, input_limit=1e9)
     actions = np.zeros((5, 5, 5))
-    with pytest.raises(RuntimeError, match=r"5 of 5 environments .* \(the first is 0\): call reset\(mask=...\) before"):
+    with pytest.raises(RuntimeError, match=r"5 of 5 environments .* \(the first is 0\): call reset\(\) for them"):
         env.step(actions)
     env.reset(seed=0)
     actions[[2, 4]] = 1e9

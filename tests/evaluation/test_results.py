@@ -72,6 +72,8 @@ def test_a_difference_is_paired_and_over_the_tracks_that_both_play(results):
     assert results.difference("static", "zero-input", (), "regret").mean is None
     with pytest.raises(ValueError, match="unknown policy 'sttic'; did you mean 'static'"):
         results.difference("sttic", "zero-input")
+    with pytest.raises(ValueError, match="unknown track 'energ'; did you mean 'energy'"):
+        results.difference("static", "zero-input", "energ")
     with pytest.raises(ValueError, match="unknown metric 'digit'; did you mean 'digits'"):
         results.difference("static", "zero-input", metric="digit")
 

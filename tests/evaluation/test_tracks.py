@@ -62,6 +62,29 @@ def test_teammates_act_in_place_of_the_policy():
     assert np.all(others > 0)
 
 
+class Failing:
+    """A policy that raises an error."""
+
+    def __init__(self, layout):
+        self.layout = layout
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        raise KeyError("x")
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (FactorySpec.of(Failing), "the teammates fail: step 0: KeyError"),
+        (FactorySpec.of("law:static", kapa=1), r"the teammates, static\(kapa=1\), cannot play 'small': .*kapa"),
+    ],
+)
+def test_a_failure_of_teammates_is_not_that_of_the_policy(policy, message):
+    track = Track("team", BASE.replace(name="small"), "A team.", teammates=Teammates(policy, (4,)))
+    with pytest.raises(ValueError, match=message):
+        ptne_env.evaluate("static", track, episodes=2)
+
+
 @pytest.mark.parametrize("players", [(), (0, 0), (5,), (0, 1, 2, 3, 4)])
 def test_teammates_are_some_of_the_players(players):
     with pytest.raises(ValueError, match="teammates are some"):

@@ -122,6 +122,16 @@ def test_a_scenario_with_a_part_that_numpy_alone_can_compute_is_refused_by_name(
         world.step(state, state.estimates)
 
 
+@pytest.mark.parametrize("size", [1, 4, 6])
+def test_actions_and_inputs_of_another_shape_are_refused(size):
+    """JAX would read beyond the ends of them without a word."""
+    world = ptne_env.jax.JaxWorld("energy")
+    state = world.reset(key(), 2)
+    for call in (world.inputs, world.step):
+        with pytest.raises(ValueError, match=rf"have the shape \(n, N, B\) = \(5, 5, 2\), got \({size}, 5, 2\)"):
+            call(state, np.zeros((size, 5, 2)))
+
+
 def test_the_leaves_of_a_drawn_game_are_its_parameters_and_equilibria_and_a_single_game_has_none():
     world = ptne_env.jax.JaxWorld("random-affine", pool=3)
     game = world.reset(key(), 2).game

@@ -93,6 +93,11 @@ def layered_with(**changes):
     return pack(layered(), layered=metadata().to_dict() | changes)
 
 
+def test_weights_of_a_training_that_diverged_make_no_file():
+    with pytest.raises(ValueError, match="a weight is not finite: the training diverged"):
+        npz_policy.seal(layered() | {"out": layered()["out"] * np.nan}, metadata())
+
+
 LARGE = np.zeros((3, 2000, 2000), dtype=np.float32)
 FOREIGN = {
     "nothing": (b"", ""),

@@ -42,6 +42,7 @@ of_every_algorithm = pytest.mark.parametrize("short", RUNS, ids=ALGORITHMS)
         ("discount", 1.5),
         ("log_std", 1.0),
         ("hidden", [64, 0]),
+        ("hidden", []),
         ("scenario", "\x1b[31mred"),
     ],
 )
