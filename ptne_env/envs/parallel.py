@@ -255,7 +255,7 @@ class NashSeekingEnv(ParallelEnv[str, Float32Array, Float32Array]):
         Raises:
             RuntimeError: before the first reset.
         """
-        return dynamics.concatenate([self._simulation.current])
+        return dynamics.copy(self._simulation.current)
 
     def set_state(self, state: State) -> None:
         """Continue the episode from a state, a batch of one of the same world; its game may be another one.
@@ -339,8 +339,7 @@ class _TurnBasedEnv(parallel_to_aec_wrapper):
 
     def step(self, action: Any) -> None:
         agent = self.agent_selection
-        if not (self.terminations[agent] or self.truncations[agent]):
-            fault = find_action_fault(action, self.action_space(agent).shape)
-            if fault:
-                raise ValueError(f"the action of {agent} {fault}")
+        is_alive = not (self.terminations[agent] or self.truncations[agent])
+        if is_alive and (fault := find_action_fault(action, self.action_space(agent).shape)):
+            raise ValueError(f"the action of {agent} {fault}")
         super().step(action)

@@ -236,9 +236,8 @@ def _policy_specs(policies: Policies, *, trust: bool) -> list[PolicySpec]:
     """Return the specs of policies as :func:`evaluate` takes them."""
     if not isinstance(policies, Mapping):
         return [get_policy_spec(policy, trust=trust) for policy in as_list(policies)]
-    patterns = {name: f"{name}={text}" for name, text in policies.items() if isinstance(text, str) and "*" in text}
     return [
-        replace(get_policy_spec(patterns.get(name, policy), trust=trust), name=name)
+        replace(get_policy_spec(policy, trust=trust), name=name)
         if isinstance(policy, str | Path | PolicySpec)
         else PolicySpec(name, policy)
         for name, policy in policies.items()

@@ -272,10 +272,10 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
     Args:
         policy: a name of :data:`POLICIES`, an ``.npz`` file, a Stable-Baselines3 ``.zip``, the id of a
             law (``"law:grounded"``) or a ``"module:object"`` that is called with the layout, or ``"name=pattern"``
-            (such as ``"mine=runs/seed-*/policy.npz"``), whose files are the training seeds of one policy, or one file
-            per track where ``{track}`` stands for the name of its scenario; or a factory spec, or an object or class
-            with ``predict``, whose class gives the name. Arguments of what is no file may follow in parentheses, as in
-            ``"static(kappa=4)"``.
+            (such as ``"mine=runs/seed-*/policy.npz"``; in a dictionary also without the name), whose files are the
+            training seeds of one policy, or one file per track where ``{track}`` stands for the name of its scenario;
+            or a factory spec, or an object or class with ``predict``, whose class gives the name. Arguments of what is
+            no file may follow in parentheses, as in ``"static(kappa=4)"``.
         trust: whether code that is stored in a ``.zip`` may be executed.
 
     Raises:
@@ -297,20 +297,12 @@ def get_policy_spec(policy: Any, *, trust: bool = False) -> PolicySpec:
     if policy in POLICIES:
         return POLICIES[policy]
     call, (name, separator, pattern) = read_call(policy), policy.partition("=")
-    if (
-        call is None
-        and separator
-        and name
-        and "(" not in name
-        and Path(name).name == name
-        and not Path(policy).is_file()
-    ):
-        paths = [pattern] if TRACK in pattern else sorted(glob.glob(pattern))  # noqa: PTH207 - it may be absolute
-        if not paths:
-            raise FileNotFoundError(f"there is no file {pattern!r}, which '{policy}' asks for")
-        return PolicySpec(name, tuple(_spec_of_file(path, trust=trust) for path in paths))
+    is_named = call is None and bool(separator and name) and "(" not in name and Path(name).name == name
+    if is_named and not Path(policy).is_file():
+        return PolicySpec(name, _specs_of_files(pattern, policy, trust=trust))
     if any(policy.endswith(each.endings) for each in FORMATS):
-        return PolicySpec(Path(policy).stem, _spec_of_file(policy, trust=trust))
+        specs = _specs_of_files(policy, policy, trust=trust)
+        return PolicySpec(Path(policy).stem, specs if len(specs) > 1 else specs[0])
     if call is not None or ":" in policy:
         return PolicySpec(policy, FactorySpec.of(policy) if call is None else _with_arguments(*call))
     raise ValueError(unknown_name("policy", policy, POLICIES, "an .npz file or a 'module:object'"))
@@ -325,6 +317,15 @@ def _with_arguments(name: str, arguments: Mapping[str, Any]) -> FactorySpec:
     for argument in arguments:
         require_name(f"argument of {name}", argument, known)
     return FactorySpec.of(source.target, **{**dict(source.arguments), **arguments})
+
+
+def _specs_of_files(pattern: str, policy: str, *, trust: bool) -> tuple[FactorySpec, ...]:
+    """Return the factory spec of each file that the pattern in a ``policy`` matches; one for one file per track."""
+    is_one = TRACK in pattern or Path(pattern).is_file()
+    paths = [pattern] if is_one else sorted(glob.glob(pattern))  # noqa: PTH207 - it may be absolute
+    if not paths:
+        raise FileNotFoundError(f"there is no file {pattern!r}" + f", which '{policy}' asks for" * (pattern != policy))
+    return tuple(_spec_of_file(path, trust=trust) for path in paths)
 
 
 def _spec_of_file(path: str, *, trust: bool) -> FactorySpec:

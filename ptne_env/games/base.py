@@ -278,31 +278,30 @@ class Game(Part, ABC):
             ArithmeticError: when the solver's point is not an equilibrium to 1e-10, or no minimum of a player's cost.
         """
         points = np.asarray(self._solve_nash_equilibria(), dtype=np.float64)
-        if not self._are_solved(points).all():
-            worst = np.linalg.norm(self.natural_residual(points), axis=0).max()
+        residuals = np.linalg.norm(self.natural_residual(points), axis=0)
+        is_small = residuals <= RESIDUAL_TOLERANCE * (1 + np.linalg.norm(points, axis=0))
+        if not is_small.all() or self._is_lost_in_rounding(points):
             raise ArithmeticError(
                 f"{type(self).__name__}: the point found has "
-                f"{'‖x − Π(x − F(x))‖' if self.box else '‖F(x)‖'} = {worst:.3g} and components of up to "
+                f"{'‖x − Π(x − F(x))‖' if self.box else '‖F(x)‖'} = {residuals.max():.3g} and components of up to "
                 f"{np.abs(points).max():.3g}; no Nash equilibrium was found"
                 + (CONSTRAINT_ADVICE if self.box else BOUNDS_ADVICE)
             )
         self._require_minima(points)
         return freeze(points)
 
-    def _are_solved(self, points: FloatArray) -> BoolArray:
-        """Whether each of the points (n, G) solves x = Π(x − F(x)), shape (G,).
+    def _is_lost_in_rounding(self, points: FloatArray) -> bool:
+        """Whether F does not vanish inside the box, although x − F(x) is rounded to x.
 
-        In a residual, x − F(x) is rounded to x where x is huge, as the price of a constraint is that no strategy
-        satisfies. So F itself must vanish inside the box, but for the rounding of its own terms.
+        So it is where x is huge, as the price of a constraint that no strategy satisfies. The measure is the rounding
+        of the terms of F.
         """
-        size = np.linalg.norm(points, axis=0)
-        is_small = np.linalg.norm(self.natural_residual(points), axis=0) <= RESIDUAL_TOLERANCE * (1 + size)
         if self.box is None:
-            return np.asarray(is_small)
+            return False
         room = np.minimum(points - self.box[0], self.box[1] - points)
         terms = 1 + ordered_sum(np.abs(self.jacobian(points)) * np.abs(points), axis=1)
         is_lost = np.abs(self.pseudo_gradient(points)) > RESIDUAL_TOLERANCE * terms
-        return np.asarray(is_small & ~(is_lost & (room > RESIDUAL_TOLERANCE * (1 + np.abs(points)))).any(axis=0))
+        return bool((is_lost & (room > RESIDUAL_TOLERANCE * (1 + np.abs(points)))).any())
 
     @cached_property
     def held_at_equilibrium(self) -> BoolArray:

@@ -33,8 +33,7 @@ def seal(weights: Weights, training: Mapping[str, Any] | Metadata) -> bytes:
     Raises:
         ValueError: when a weight is not finite.
     """
-    if not all(np.isfinite(each).all() for each in weights.values()):
-        raise ValueError("a weight is not finite: the training diverged, and may not with a smaller learning_rate")
+    _require(_are_finite(weights), "a weight is not finite: the training diverged; try a smaller learning_rate")
     arrays = {name: np.asarray(weights[name], dtype=np.float32) for name in sorted(weights)}
     described = training.to_dict() if isinstance(training, Metadata) else dict(training)
     kind = "layered" if isinstance(training, Metadata) else "training"
@@ -65,12 +64,16 @@ def open_policy(path: Path, content: bytes) -> RecurrentPolicy | LayeredPolicy:
         is_layered = "layered" in description
         described = description["layered" if is_layered else "training"]
         _require(_compute_digest(weights, described) == description["sha256"], "it has another SHA-256")
-        _require(all(np.isfinite(each).all() for each in weights.values()), "a weight is not finite")
+        _require(_are_finite(weights), "a weight is not finite")
         if is_layered:
             return LayeredPolicy(path.stem, weights, Metadata.from_dict(described))
         return RecurrentPolicy(path.stem, weights, None, described)
     except Exception as error:  # zip files raise many classes
         raise PolicyFileError(f"{path} is damaged, or no policy of this library: {error}") from error
+
+
+def _are_finite(weights: Weights) -> bool:
+    return all(np.isfinite(each).all() for each in weights.values())
 
 
 def _require(holds: bool, otherwise: str) -> None:  # noqa: FBT001 - private

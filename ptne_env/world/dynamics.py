@@ -190,9 +190,7 @@ def restore(world: World, state: State, batch: int) -> State:
         )
     gradients = np.where(state.diverged, state.own_gradients, _own_gradients(game, state.estimates))
     diverged = state.diverged | ~_is_near(state.estimates, gradients)
-    estimates, gradients = state.estimates.copy(), _clip(gradients)
-    restored = state._replace(game=game, estimates=estimates, own_gradients=gradients, diverged=diverged)
-    return restored._replace(any_diverged=bool(diverged.any()))
+    return copy(state._replace(game=game, own_gradients=_clip(gradients), diverged=diverged))
 
 
 def step(world: World, state: State, inputs: FloatArray) -> State:
@@ -225,6 +223,11 @@ def concatenate(states: Sequence[State]) -> State:
         return np.concatenate(wide, axis=-1)
 
     return _map_arrays(join, *states)
+
+
+def copy(state: State) -> State:
+    """Return the state in arrays of its own, but with its game, which never changes and knows its equilibria."""
+    return select(state, slice(None))._replace(game=state.game)
 
 
 def select(state: State, environments: slice) -> State:

@@ -225,6 +225,7 @@ def test_a_state_shares_no_array_with_the_environment():
     for each in (env, undisturbed):
         each.reset(seed=1)
     given = env.get_state()
+    assert given.game is env._simulation.current.game  # which need not be solved again
     given.estimates[...] = env.nash_equilibrium[:, None, None]
     given = undisturbed.get_state()
     env.set_state(given)

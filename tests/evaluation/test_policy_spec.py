@@ -157,8 +157,10 @@ def test_a_model_with_another_interface_is_refused_with_advice():
 def test_a_dictionary_may_name_a_pattern_of_files(tmp_path):
     for seed in range(2):
         (tmp_path / f"seed-{seed}.npz").write_bytes(shipped_path("recurrent-random-worlds").read_bytes())
-    results = evaluate({"mine": f"{tmp_path}/seed-*.npz"}, BASE, episodes=3)
-    assert results.samples[BASE.name, "mine"]["digits"].shape == (2, 3)
+    policies = {"mine": f"{tmp_path}/seed-*.npz", "same": f"other={tmp_path}/seed-*.npz"}
+    results = evaluate(policies, BASE, episodes=3)
+    for name in policies:
+        assert results.samples[BASE.name, name]["digits"].shape == (2, 3)
 
 
 def test_a_law_acts_through_its_interface_or_not_at_all():
