@@ -72,11 +72,11 @@ class Grounded(Law):
 class AdaptiveGrounded(Law):
     """Ye and Hu's law with adaptive gains, in effective time: the node-based law.
 
-    u^i_i = −∂J_i/∂x_i(x^i), and for j ≠ i, u^i_j = −θ_ij ξ^i_j and dθ_ij/dτ = γ ‖ξ^i_j‖². M. Ye and G. Hu, "Adaptive
-    approaches for fully distributed Nash equilibrium seeking in networked games", Automatica, 2021. Every player tunes
-    the gains of its own consensus errors, so no gain must be known. (The edge-based law of that paper is of the kind of
-    :class:`~ptne_env.laws.Adaptive`.) The memory is θ_ij, one gain per component, shape (R, n), in natural units, and
-    takes an Euler step of Θ_k.
+    u^i_i = −∂J_i/∂x_i(x^i), and for a component c of another player, u^i_c = −θ^i_c ξ^i_c and dθ^i_c/dτ = γ (ξ^i_c)².
+    M. Ye and G. Hu, "Adaptive approaches for fully distributed Nash equilibrium seeking in networked games",
+    Automatica, 2021, where strategies are numbers. Every player tunes the gains of its own consensus errors, so no gain
+    must be known. (The edge-based law of that paper is of the kind of :class:`~ptne_env.laws.Adaptive`.) The memory is
+    θ^i_c, shape (R, n), in natural units, and takes an Euler step of Θ_k.
 
     Args:
         layout: the layout of the environment.
@@ -95,7 +95,7 @@ class AdaptiveGrounded(Law):
         self.initial_gain = require_non_negative("initial_gain", initial_gain)
 
     def initial_memory(self, rows: int) -> FloatArray:
-        """Return θ_ij(0) per component, shape (R, n)."""
+        """Return θ^i_c(0), shape (R, n)."""
         return np.full((rows, self.layout.dimension), self.initial_gain)
 
     def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,9 +17,11 @@ class ProjectedGradient(Law):
     convergence rate", IEEE Control Systems Letters 5(2), 2021.
 
     An iteration evaluates the gradient at the mixed estimates, while an environment shows gradients at the present
-    ones. So an iteration takes two steps, a mixing step and a descent step, and is then exact. The deadline plays no
-    part: the law moves its estimates to the next iterate within the step, as far as the input limit lets it, and the
-    environment projects strategies into its box. The memory is the number of steps done, shape (R, 1).
+    ones. So an iteration takes two steps, a mixing step and a descent step. The environment projects the strategy into
+    its box after each, where the iteration does so after the second only; where mixing leads out of the box, as with
+    copies outside of it, the iterates differ, and approach x* as fast at least. The deadline plays no part: the law
+    moves its estimates to the next iterate within the step, as far as the input limit lets it. The memory is the number
+    of steps done, shape (R, 1).
 
     Args:
         layout: the layout of the environment.

@@ -61,7 +61,7 @@ class Certificate:
             reasons.
         largest_step: the largest step before T: Θ_k, or Δt_k on the physical clock.
         largest_stable_step: the step beyond which explicit steps on some mode's M amplify an error; ``None`` when no
-            step is stable.
+            step is stable, as a note says, or all are.
         shortfall: 1 − t_K/T, how far short of the deadline the last step ends, as a fraction of T.
         notes: sentences about the limits of these numbers, and what the errata say about them.
     """
@@ -142,7 +142,7 @@ def certify(scenario: str | Scenario, law: str | FactorySpec | PolicySpec | type
         digits=prediction.digits,
         digits_are_exact=prediction.is_linear and not (world.is_random or _faults(world) or prediction.deviations),
         largest_step=prediction.largest_step,
-        largest_stable_step=prediction.largest_stable_step,
+        largest_stable_step=None if prediction.largest_stable_step == math.inf else prediction.largest_stable_step,
         notes=(*prediction.notes(), *_scenario_notes(world, built, covers_range=prediction.is_linear)),
     )
 
@@ -181,8 +181,6 @@ class _Prediction:
         game, topology, stable = world.game, world.topology, [largest_stable_step(each) for each in loop.matrices]
         self.largest_step = float(loop.steps.max())
         self.largest_stable_step = None if None in stable else min(filter(None, stable))
-        # Errors, and so what is rounded.
-        self.amplifies = self.largest_stable_step is not None and self.largest_step >= self.largest_stable_step
         self.rate: float | None = None
         if not topology.is_random:
             self.rate = decay_rate(loop.matrices, topology, world.scenario.deadline, loop.clock)
@@ -205,7 +203,7 @@ class _Prediction:
         reach, peak = float(np.abs(estimates).max()), float(np.abs(inputs).max(initial=0.0))
         if len(path) < len(errors):
             yield "the sampled loop diverges from this start before T: the steps are too long for the law"
-        elif self.amplifies or self._is_rounded(path):
+        elif self._is_rounded(path):
             yield "rounding shows at T: the digits are those of exact arithmetic, and an episode may have others"
         if max(reach, np.abs(game.own_gradients(estimates)).max()) > RANGE_LIMIT:
             yield f"an estimate or a gradient leaves ±{RANGE_LIMIT:g} on the way, where an episode ends"
@@ -223,15 +221,13 @@ class _Prediction:
             yield "the topology is random: no rate, and digits of one draw, with seed 0"
 
     def _is_rounded(self, path: FloatArray) -> bool:
-        """Return whether rounding to float32 may change the digits at T, as moving the start by more than that does.
+        """Return whether rounding may change the digits at T, as it does where it adds to every step more than it can.
 
         A loop that damps the error of the start fast, and other errors slowly, ends where rounding leaves it.
         """
-        start = path[0]
-        size = 2.0**-20 * np.abs(start).max()
-        moves = np.random.default_rng(0).uniform(-size, size, (4, start.size))
-        ends = distance(np.array([path[-1], *(self.loop.errors(start + move)[-1] for move in moves)]), self.world.game)
-        return not np.ptp(distances.digits(ends)) <= 5e-4  # also where they overflow
+        generator = np.random.default_rng(0)
+        ends = np.array([path[-1], *(self.loop.errors(path[0], generator)[-1] for _ in range(4))])
+        return not np.ptp(distances.digits(distance(ends, self.world.game))) <= 5e-4  # also where they overflow
 
     def notes(self) -> Iterator[str]:
         """Return the limits of these numbers."""
@@ -244,7 +240,9 @@ class _Prediction:
                 "linearisation at x*, of the components that no bound holds; no digits"
             )
         yield from self.deviations
-        if self.amplifies:
+        if self.largest_stable_step is None:
+            yield "every step amplifies some errors, as M of a mode has an eigenvalue with Re μ ≤ 0 that is not 0"
+        elif self.largest_step >= self.largest_stable_step:
             yield "the largest step amplifies errors: it is longer than the largest stable one"
         if not topology.is_fixed and not topology.is_random:
             yield (

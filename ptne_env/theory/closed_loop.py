@@ -21,7 +21,7 @@ from scipy import linalg
 from ptne_env.games import Game
 from ptne_env.laws import Law
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_non_negative
-from ptne_env.theory.constants import ZERO, jacobian_at_equilibrium, last_modes
+from ptne_env.theory.constants import jacobian_at_equilibrium, last_modes, rounding
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.graphs import Graph
 from ptne_env.world.switching import SwitchingTopology
@@ -33,6 +33,9 @@ LoopClock: TypeAlias = Literal["effective", "physical"]
 
 _NEAR = 2.0**-10
 """The size of errors at which the loop of a law is measured: laws may saturate at larger ones."""
+
+_ROUNDING, _EXACT_ROUNDING = 2.0**-20, 2.0**-48
+"""More than the rounding of a step at the interface, as a fraction of the error, and in float64, of the strategies."""
 
 
 class NoClosedLoopError(ValueError):
@@ -137,7 +140,7 @@ def _respond(law: Law, game: Game, seen: FloatArray, weights: FloatArray, **time
 def spectral_abscissa(matrix: FloatArray) -> float:
     """Return min Re μ over the eigenvalues μ of M, the rate of e^{−Mτ}; exactly 0 where only rounding remains."""
     smallest = float(np.linalg.eigvals(matrix).real.min())
-    return 0.0 if abs(smallest) <= ZERO * np.linalg.norm(matrix) else smallest
+    return 0.0 if abs(smallest) <= rounding(matrix) else smallest
 
 
 def decay_rate(
@@ -159,10 +162,12 @@ def decay_rate(
         return spectral_abscissa(matrices[last_modes(topology, deadline)[0]])
     if clock == "physical" and topology.clock == "transformed":
         return spectral_abscissa(np.average(matrices, axis=0, weights=topology.mode_dwells))
-    monodromy = np.eye(len(matrices[0]))
+    decay, monodromy = 0.0, np.eye(len(matrices[0]))
     for matrix, dwell in zip(matrices, topology.mode_dwells, strict=True):
-        monodromy = linalg.expm(-matrix * dwell) @ monodromy
-    return -math.log(float(np.abs(np.linalg.eigvals(monodromy)).max())) / topology.period
+        rate = spectral_abscissa(matrix)  # taken out, since its exponential may be 0 in float64
+        decay, monodromy = decay + rate * dwell, linalg.expm((rate * np.eye(len(matrix)) - matrix) * dwell) @ monodromy
+    remaining = max(float(np.abs(np.linalg.eigvals(monodromy)).max()), float(np.finfo(np.float64).tiny))
+    return float((decay - math.log(remaining)) / topology.period)
 
 
 def largest_stable_step(matrix: FloatArray) -> float | None:
@@ -171,13 +176,13 @@ def largest_stable_step(matrix: FloatArray) -> float | None:
     Zero eigenvalues, which every disconnected graph has, are neither amplified nor damped and do not count.
 
     Returns:
-        The step in units of τ; ``None`` when every step amplifies some error, or M = 0.
+        The step in units of τ; ``None`` when every step amplifies some error, and ∞ when none does.
     """
     eigenvalues = np.linalg.eigvals(matrix)
-    eigenvalues = eigenvalues[np.abs(eigenvalues) > ZERO * np.linalg.norm(matrix)]
-    if eigenvalues.size == 0 or eigenvalues.real.min() <= 0:
+    eigenvalues = eigenvalues[np.abs(eigenvalues) > rounding(matrix)]
+    if eigenvalues.real.min(initial=1.0) <= 0:
         return None
-    return float((2 * eigenvalues.real / np.abs(eigenvalues) ** 2).min())
+    return float((2 * eigenvalues.real / np.abs(eigenvalues) ** 2).min(initial=math.inf))
 
 
 def gain_growth(transformation: TimeTransformation) -> float:
@@ -186,9 +191,12 @@ def gain_growth(transformation: TimeTransformation) -> float:
     An error that decays like e^{−r s} has a velocity g(t) u that is bounded for r > p, also for r = p > 0 unless M has
     Jordan blocks there, and unbounded for r < p; ∫‖g u‖² dt is finite for r > p/2.
     """
-    near, middle, far = (-float(np.log(transformation.derivative(s))) for s in (75.0, 150.0, 300.0))
+    instants = 300 / 2.0 ** np.arange(12)
+    shown = transformation.derivative(instants) > 1e-250 * transformation.deadline  # the others may have underflowed
+    far = instants[shown.argmax()]
+    early, middle, late = -np.log(transformation.derivative(far / np.array([4.0, 2.0, 1.0])))
     # Slopes of a power of s halve when s doubles, and cancel here; those of an exponential function stay.
-    return round(2 * (far - middle) / 150 - (middle - near) / 75, 3)
+    return round(float(4 * (late - 2 * middle + early) / far), 3)
 
 
 def _restrict(matrix: FloatArray, game: Game) -> FloatArray:
@@ -212,18 +220,21 @@ class SampledLoop:
         modes: the mode that acts in each step, shape (K,); of a random topology one draw, with seed 0.
         steps: h_k, by which each step advances, shape (K,): Θ_k, or Δt_k for a law without the time gain.
         clock: ``"effective"`` or ``"physical"``.
+        scale: the largest |x*_c|, in proportion to which strategies and gradients round at x*.
     """
 
     matrices: tuple[FloatArray, ...]
     modes: IntArray
     steps: FloatArray
     clock: LoopClock
+    scale: float
 
-    def errors(self, start: FloatArray) -> FloatArray:
+    def errors(self, start: FloatArray, rounding: np.random.Generator | None = None) -> FloatArray:
         """Return the error **x** − 1⊗x* at every instant.
 
         Args:
             start: the initial error, shape (Nn,).
+            rounding: adds to every step what is more than its rounding; ``None`` is exact arithmetic.
 
         Returns:
             Shape (K+1, Nn); not finite from where a diverging loop leaves the range of float64.
@@ -232,6 +243,9 @@ class SampledLoop:
         result[0] = start
         for k, (mode, step) in enumerate(zip(self.modes, self.steps, strict=True)):
             result[k + 1] = result[k] - step * (self.matrices[mode] @ result[k])
+            if rounding is not None:
+                size = _ROUNDING * np.abs(result[k]) + _EXACT_ROUNDING * self.scale
+                result[k + 1] += step * rounding.uniform(-1, 1, len(start)) * (np.abs(self.matrices[mode]) @ size)
             if not np.all(np.abs(result[k + 1]) < 1e150):  # squares of larger errors would overflow
                 result[k + 1] = np.inf
                 break
@@ -251,8 +265,9 @@ def sampled_loop(world: World, law: Law) -> SampledLoop:
     modes = topology.draw(instants, [np.random.default_rng(0)]).modes[:, 0]
     errors = np.random.default_rng(0).uniform(-_NEAR, _NEAR, (clock.steps, len(matrices[0])))
     lengths: dict[LoopClock, FloatArray] = {"effective": clock.theta, "physical": clock.dt}
+    scale = float(np.abs(world.game.nash_equilibrium).max())
     for name, steps in lengths.items():
-        loop = SampledLoop(matrices, modes, steps[: clock.steps], name)
+        loop = SampledLoop(matrices, modes, steps[: clock.steps], name, scale)
         if follows(law, world, loop, errors):
             return loop
     raise NoClosedLoopError(f"the gains of {type(law).__name__} depend on time, so it has another loop in every step")

@@ -24,10 +24,11 @@ from ptne_env.laws import (
     ProjectedGradient,
     ProximalBestResponse,
     Relay,
+    RoutedUnknown,
     Static,
 )
 from ptne_env.shared.arrays import FloatArray, IntArray
-from ptne_env.theory.constants import ZERO, ProblemConstants, gain_bound
+from ptne_env.theory.constants import ProblemConstants, gain_bound, rounding
 from ptne_env.world.graphs import union
 
 
@@ -52,7 +53,8 @@ class Condition:
     theorem: str = ""
 
     def __str__(self) -> str:
-        verdict = "holds" if self.holds else "fails (sufficient, not necessary)"
+        holds = "holds" if self.exact else "holds, by numbers that prove nothing, as F is not affine"
+        verdict = holds if self.holds else "fails (sufficient, not necessary)"
         theorem = f"{self.theorem}: " * bool(self.theorem)
         return f"{theorem}{self.name}; {number(self.value)} against {number(self.bound)}: {verdict}"
 
@@ -88,6 +90,14 @@ def _fixed_graph(constants: ProblemConstants) -> Condition:
 def _undirected(constants: ProblemConstants) -> Condition:
     count = constants.directed_graphs
     return Condition("all links are undirected: number of directed graphs = 0", count, 0, holds=count == 0)
+
+
+def _no_bounds(constants: ProblemConstants, *, unless_alone: bool = False) -> Condition:
+    """Return whether no component has a bound, apart from those that are the only one of their player if so asked."""
+    several = np.bincount(constants.owners)[constants.owners] > 1
+    count = int(np.count_nonzero(constants.is_bounded & (several | (not unless_alone))))
+    of = " of players of several components" * unless_alone
+    return Condition(f"no bounds: number of bounded components{of} = 0", count, 0, holds=count == 0)
 
 
 def _all_links_recur(constants: ProblemConstants) -> Condition:
@@ -141,7 +151,7 @@ def grounded_condition(law: Grounded, constants: ProblemConstants) -> Condition:
         bound = (cross**2 / (4 * constants.epsilon) + others * constants.iota_estimates) / grounded
     name = f"κ/δ > ((ι + √(N−1) ι_F)²/(4ε) + √(N−1) ι)/λ, λ = {grounded:.3g}"
     gain = Condition.above(name, law.kappa / law.gradient_gain, bound, exact=constants.exact)
-    return decisive("Ye and Hu (2017)", gain)
+    return decisive("Ye and Hu (2017)", _no_bounds(constants), gain)
 
 
 def _grounded_connectivity(constants: ProblemConstants) -> float:
@@ -159,8 +169,8 @@ def _grounded_connectivity(constants: ProblemConstants) -> float:
 
 def adaptive_grounded_condition(law: AdaptiveGrounded, constants: ProblemConstants) -> Condition:
     """γ > 0, ε > 0, a fixed undirected graph, as H, the grounded Laplacian, is in V = ½‖x − x*‖² + ½ yᵀ H y + gains."""
-    needed = _adapting_gains(law), _undirected(constants), _fixed_graph(constants), _strongly_monotone(constants)
-    return decisive("Ye and Hu (2021)", *needed)
+    needed = _undirected(constants), _fixed_graph(constants), _no_bounds(constants), _strongly_monotone(constants)
+    return decisive("Ye and Hu (2021)", _adapting_gains(law), *needed)
 
 
 def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConstants) -> Condition:
@@ -192,6 +202,7 @@ def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -
         "Bianchi, Belgioioso and Grammatico (2019)",
         _undirected(constants),
         _fixed_graph(constants),
+        _no_bounds(constants, unless_alone=True),
         Condition.below("W is stochastic: h max Σ_j a_ij < 1", law.mixing * constants.largest_degree, 1.0),
         _gain_condition(law.mixing / law.step, constants),
     )
@@ -201,14 +212,34 @@ def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # no
     """ε > 0, ρ(B) < 1 with B_ij = ‖G_ii⁻¹ G_ij‖ for i ≠ j and G = dF, and all links act again and again.
 
     Then best responses contract in a weighted maximum norm, with copies of any age
-    (:func:`coupling_radius`), so also along paths that switch.
+    (:func:`coupling_radius`), so also along paths that switch. A bound keeps that true where it confines the only
+    component of a player; of several components, the response in a box may be farther off than that without one.
     """
     radius = coupling_radius(constants.jacobian, constants.owners)
     return decisive(
         "Bertsekas and Tsitsiklis (1989)",
         _strongly_monotone(constants),
         _all_links_recur(constants),
+        _no_bounds(constants, unless_alone=True),
         Condition.below("ρ(B) < 1, B_ij = ‖G_ii⁻¹ G_ij‖", radius, 1.0, exact=constants.exact),
+    )
+
+
+def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Condition:
+    """ε > 0, ρ(D⁻¹ |dF − D|) < 1 with D the diagonal of dF, η max D ≤ 1, and all links act again and again.
+
+    Gradient steps then contract as best responses do, with an owner for each component (:func:`coupling_radius`), in
+    boxes, too.
+    """
+    components = np.arange(len(constants.jacobian))
+    steepest = constants.jacobian.diagonal().max()
+    radius = coupling_radius(constants.jacobian, components)
+    return decisive(
+        "Bertsekas and Tsitsiklis (1989)",
+        _strongly_monotone(constants),
+        _all_links_recur(constants),
+        Condition.below("η < 1/max D, D = diag(dF)", law.step, 1 / steepest, exact=constants.exact),
+        Condition.below("ρ(D⁻¹ |dF − D|) < 1", radius, 1.0, exact=constants.exact),
     )
 
 
@@ -221,6 +252,7 @@ CONDITIONS: dict[type[Law], Callable[[Any, ProblemConstants], Condition]] = {
     ProjectedGradient: projected_gradient_condition,
     ProximalBestResponse: proximal_condition,
     Relay: relay_condition,
+    RoutedUnknown: routed_condition,
 }
 """The condition of each law that has a theorem, by its class. A subclass is another law and needs its own entry."""
 
@@ -251,7 +283,7 @@ def coupling_radius(jacobian: FloatArray, owners: IntArray) -> float:
     coupling = np.zeros((len(blocks), len(blocks)))
     for i, own in enumerate(blocks):
         square = jacobian[np.ix_(own, own)]
-        if np.linalg.svd(square, compute_uv=False)[-1] <= ZERO * np.linalg.norm(jacobian):
+        if np.linalg.svd(square, compute_uv=False)[-1] <= rounding(jacobian):
             return np.inf
         response = np.linalg.solve(square, jacobian[own])
         for j, other in enumerate(blocks):

@@ -9,13 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ptne_env.games import Game
-from ptne_env.shared.arrays import FloatArray, IntArray, require_positive
+from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_positive
 from ptne_env.world.graphs import Graph
 from ptne_env.world.switching import SwitchingTopology
 from ptne_env.world.world import World
-
-ZERO = 1e-10
-"""Fraction of a matrix's norm below which a number counts as 0; kernels of disconnected graphs are 0 up to rounding."""
 
 SAMPLES = 256
 """Number of points from which constants that are not exact are computed."""
@@ -72,12 +69,17 @@ def monotonicity_constants(game: Game, *, radius: float = 10.0) -> MonotonicityC
     blocks = [sampled[:, game.owners == player] for player in range(game.num_players)]
     smallest = float(np.linalg.eigvalsh(symmetric)[:, 0].min())
     return MonotonicityConstants(
-        epsilon=0.0 if abs(smallest) <= ZERO * _largest_norm(symmetric) else smallest,
+        epsilon=0.0 if abs(smallest) <= rounding(symmetric) else smallest,
         iota_strategies=_largest_norm(sampled),
         iota_estimates=max(_largest_norm(block) for block in blocks),
         exact=game.is_affine,
         radius=None if game.is_affine else float(radius),
     )
+
+
+def rounding(matrix: FloatArray) -> float:
+    """Return the size below which an eigenvalue or singular value of a matrix, (..., m, m), counts as 0."""
+    return 10 * matrix.shape[-1] * float(np.finfo(np.float64).eps * np.linalg.norm(matrix, axis=(-2, -1)).max())
 
 
 def gain_bound(constants: MonotonicityConstants, algebraic_connectivity: float) -> float:
@@ -101,12 +103,14 @@ class ProblemConstants(MonotonicityConstants):
         jacobian: dF, shape (n, n); at x* unless F is affine.
         owners: the player that owns each component, shape (n,).
         graphs: the modes of the topology.
+        is_bounded: whether each component has a bound, shape (n,).
         recurring: the graphs whose links act again and again as s → ∞: the union of all modes on the transformed clock,
             each mode that may be the last on the physical clock.
     """
 
     jacobian: FloatArray
     owners: IntArray
+    is_bounded: BoolArray
     graphs: tuple[Graph, ...]
     recurring: tuple[Graph, ...]
 
@@ -141,6 +145,7 @@ def problem_constants(world: World) -> ProblemConstants:
         **vars(monotonicity_constants(game)),
         jacobian=jacobian_at_equilibrium(game),
         owners=game.owners,
+        is_bounded=np.isfinite(np.hstack(game.bounds)).any(axis=1),
         graphs=tuple(topology.graphs),
         recurring=tuple(recurring),
     )

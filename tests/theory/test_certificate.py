@@ -138,6 +138,48 @@ def test_digits_that_rounding_decides_are_not_exact():
     assert any("rounding shows at T" in note for note in certificate.notes)
 
 
+def digits_of_a_quadratic_game(matrix, law, start, **fields):
+    """The certificate of a law on a path of players, and the digits of an episode."""
+    game = FactorySpec.of("game:quadratic", matrix=matrix, offset=np.array([-1.0, -0.7, 1.3])[: len(matrix)].tolist())
+    scenario = get_scenario("energy", game=game, topology=FactorySpec.of("topology:path", players=len(matrix)))
+    start = World(scenario).game.nash_equilibrium + np.array(start)
+    scenario = scenario.replace(start=FactorySpec.of("start:fixed", estimates=start.tolist()), **fields)
+    return theory.certify(scenario, law), played_digits(scenario, law, 0)
+
+
+def test_a_start_at_an_equilibrium_that_repels_has_no_exact_digits():
+    matrix = [[1.0, 300.0, 0.0], [-300.0, 1.0, 300.0], [0.0, -300.0, 1.0]]
+    certificate, played = digits_of_a_quadratic_game(matrix, "static", np.zeros((3, 3)), steps=4000)
+    assert certificate.rate < 0
+    assert certificate.digits > 12
+    assert played < 0
+    assert not certificate.digits_are_exact
+    assert any("every step amplifies some errors" in note for note in certificate.notes)
+
+
+@pytest.mark.filterwarnings("ignore:.*short of the deadline")
+def test_a_loop_that_ends_in_two_steps_has_no_exact_digits():
+    """Every step damps by all; what remains is the rounding of the last one."""
+    theta = float(World(get_scenario("energy", steps=2)).clock.theta[0])
+    law = FactorySpec.of("law:grounded", kappa=0.5 / theta, gradient_gain=1 / theta)
+    certificate, played = digits_of_a_quadratic_game(np.eye(2).tolist(), law, [[3, 4], [5, -7]], steps=2)
+    assert played < 12 < certificate.digits
+    assert not certificate.digits_are_exact
+
+
+def test_a_law_that_does_nothing_amplifies_nothing():
+    certificate = theory.certify(get_scenario("energy", start="paper"), "zero-input")
+    assert (certificate.rate, certificate.largest_stable_step, certificate.notes) == (0, None, ())
+    assert certificate.digits_are_exact
+
+
+def test_rates_of_badly_scaled_problems_are_resolved():
+    assert theory.certify("energy", "static(kappa=1e9)").rate == pytest.approx(0.42, rel=1e-3)  # gradient play, 2.1/5
+    game = FactorySpec.of("game:quadratic", matrix=np.diag([1e9, 1e-2]).tolist(), offset=[1.0, 1.0])
+    world = World(get_scenario("energy", game=game, topology="path(players=2)", start="random"))
+    assert theory.monotonicity_constants(world.game).epsilon == pytest.approx(1e-2)
+
+
 def test_a_law_in_scaled_units_has_no_exact_digits():
     class Scaled(laws.Static):
         interface = Interface("scaled")

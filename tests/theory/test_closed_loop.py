@@ -124,11 +124,27 @@ def test_largest_stable_step_separates_contraction_from_growth():
     assert np.abs(np.linalg.eigvals(identity - 0.999 * step * matrix)).max() < 1
     assert np.abs(np.linalg.eigvals(identity - 1.001 * step * matrix)).max() > 1
     assert theory.largest_stable_step(-matrix) is None
-    assert theory.largest_stable_step(np.zeros((3, 3))) is None
+    assert theory.largest_stable_step(np.zeros((3, 3))) == np.inf
     assert theory.largest_stable_step(np.diag([0.0, 1.0, 4.0])) == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize(("kind", "growth"), [(Exponential, 1.0), (HyperbolicTangent, 2.0), (Rational, 0.0)])
+def test_a_rate_whose_exponential_is_no_number_of_float64():
+    topology = paper_topology(0.25, "transformed")
+    fast = [2000 * np.eye(25) + matrix for matrix in matrices(topology)]
+    rate = theory.decay_rate(fast, topology, 1.2)
+    assert rate == pytest.approx(2000 + rate_of_the_static_law(topology), rel=1e-9)
+
+
+class Fast(Exponential):
+    """λ(s) = T (1 − e^{−9 s}), as far as its gain grows; its λ'(300) is 0 in float64."""
+
+    def derivative(self, s):
+        return 9 * super().derivative(9 * s)
+
+
+@pytest.mark.parametrize(
+    ("kind", "growth"), [(Exponential, 1.0), (HyperbolicTangent, 2.0), (Rational, 0.0), (Fast, 9.0)]
+)
 def test_gain_growth(kind, growth):
     assert theory.gain_growth(kind(1.2)) == growth
 

@@ -8,6 +8,7 @@ from scipy import linalg
 from worlds import DIRECTED, fixed_part, loop_matrix
 
 from ptne_env import CATALOGUE, FactorySpec, get_scenario, laws, theory
+from ptne_env.games import QuadraticGame
 from ptne_env.perception.encoder import Encoder
 from ptne_env.shared.parts import PARTS, resolve
 from ptne_env.world.graphs import from_edges
@@ -63,6 +64,32 @@ def test_only_links_that_act_again_and_again_count_as_s_grows():
     assert [graph.is_connected for graph in transformed.recurring] == [True]
     assert condition_on("energy-switching-transformed", laws.Relay).holds
     assert not condition_on("energy-switching", laws.Relay).holds  # links of its last graph alone recur
+
+
+BOX = {"low": [-30.0, -1.0, -30.0, -1.0], "high": [30.0, 1.0, 30.0, 1.0]}
+
+
+@pytest.mark.parametrize(
+    ("players", "box", "holds"), [(2, {}, True), (2, BOX, False), (4, BOX, True)], ids=["free", "in a box", "alone"]
+)
+def test_best_responses_in_a_box_are_proven_for_players_of_one_component(players, box, holds):
+    """In this box those of two players contract as if there were no bounds, and yet go round for ever."""
+    own, response = np.array([[1, 0.5], [0.5, 1]]), 0.93 * np.outer([1.25, 1.0], [1, 0]) / np.hypot(1, 0.5)
+    matrix = np.block([[own, response], [-response, own]]) if players == 2 else np.eye(4) + 0.1
+    offset = [0, -50, 0, -50] - matrix @ [0, 1, 0, 1]
+    game = QuadraticGame(matrix, offset, (4 // players,) * players, **box)
+    scenario = get_scenario("energy", game=game, topology=FactorySpec.of("topology:path", players=players))
+    assert condition_on(scenario, laws.Relay).holds == holds
+    if players == 2:
+        strategies = game.nash_equilibria + 0.1
+        for _ in range(200):
+            strategies = game.best_response(strategies)
+        assert (np.abs(strategies - game.nash_equilibria).max() < 1e-3) == holds
+
+
+def test_conditions_that_come_from_a_linearisation_say_so():
+    assert "holds, by numbers that prove nothing" in str(theory.Condition.above("x > 0", 1, 0, exact=False))
+    assert str(theory.Condition.above("x > 0", 1, 0)).endswith("holds")
 
 
 MODES = {
