@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from enum import IntEnum
 from typing import Annotated
 
@@ -68,6 +69,8 @@ def main() -> None:
     except SystemExit as ended:
         if ended.code == ExitCode.INTERRUPTED:
             console(stderr=True).print("Interrupted: all files are complete, and the same command goes on from them")
+            sys.stdout.flush()
+            os._exit(ended.code)  # the usual end would destroy the client of XLA while its threads still compile for it
         raise
     except (ConnectionError, ChildProcessError) as error:
         _fail(str(error), ExitCode.FAILED)

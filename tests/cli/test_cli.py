@@ -428,6 +428,16 @@ def test_interrupted_work_showed_the_time_left_and_leaves_complete_files(tmp_pat
             json.loads(path.read_text(encoding="utf-8"))
 
 
+def test_an_interruption_ends_the_process_at_once():
+    """What Python does at the end, it did to XLA while its threads compiled: a segmentation fault in most cases."""
+    ends = "import atexit, os; from ptne_env.cli.app import app, main; atexit.register(os.abort)"
+    stops = "app.command('stop')(lambda: (_ for _ in ()).throw(KeyboardInterrupt))"
+    program = (sys.executable, "-c", f"import sys; sys.argv[1:] = ['stop']; {ends}; {stops}; main()")
+    done = subprocess.run(program, capture_output=True, text=True, check=False, timeout=60)  # noqa: S603 - our own
+    assert done.returncode == ExitCode.INTERRUPTED
+    assert "Interrupted" in done.stderr
+
+
 def test_a_terminal_gets_colours_and_none_with_no_color(run, monkeypatch, tmp_path):
     assert "\x1b[32mholds" in in_terminal(["certify", "energy"], tmp_path)[1]
     assert "\x1b" not in in_terminal(["certify", "energy"], tmp_path, NO_COLOR="1")[1]
