@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,7 +11,7 @@ import typer
 
 from ptne_env.cli import options
 from ptne_env.cli.app import ExitCode, app
-from ptne_env.cli.console import STDOUT, check_writable, console, progress, say, write_json
+from ptne_env.cli.console import STDOUT, check_writable, console, progress, say, this_command, write_json
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
 from ptne_env.evaluation.tracks import EPISODES, get_suite
 from ptne_env.execution import Runner, Workers
@@ -110,10 +108,11 @@ def compare(
     files = [] if folder is None else [folder / "results.json", folder / "results.csv"]
     page = None if folder is None or not with_report else folder / "report.html"
     check_writable(json, page, *files)
-    earlier = bool(files) and files[0].exists()
     policies = [get_policy_spec(name, trust=trust) for name in names]
     run = _choose_run(suite, places, changes, policies, episodes, trust=trust)
     workers = Workers(jobs, ray)
+    if files and files[0].exists():
+        say(f"The results will replace earlier ones in {folder}; another --out keeps both")
     with progress(f"{title}: making the jobs") as advance:
         results = run(seed=seed, run=Runner(folder, workers, advance))
     if not results.samples:
@@ -126,14 +125,13 @@ def compare(
         write_atomically(files[1], results.to_csv())
     if page is not None:
         with progress("figures of the page") as advance:
-            write_atomically(page, results_page(results, shlex.join(["ptne", *sys.argv[1:]]), workers, advance))
+            write_atomically(page, results_page(results, this_command(), workers, advance))
     screen = console()
     if details:
         screen.print(result_tables(results, screen.width))
-    screen.print(answer_tables(results, screen.width))
+    screen.print(answer_tables(results, screen.width, whole=details))
     if files:
-        replaced = ", in place of earlier ones there; --out FOLDER keeps both" * earlier
-        say(f"Results written to {files[0]} and {files[1]}{replaced}")
+        say(f"Results written to {files[0]} and {files[1]}")
     if page is not None:
         say(f"Report written to {page}: open it in a browser")
     if results.failures:

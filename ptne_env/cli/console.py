@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -113,6 +114,11 @@ def check_writable(*targets: str | Path | None) -> None:
     for target in targets:
         if target not in (None, STDOUT):
             require_writable(Path(target))
+
+
+def this_command() -> str:
+    """Return the command as it was given, which repeats what a page shows."""
+    return shlex.join(["ptne", *sys.argv[1:]])
 
 
 def say(text: str) -> None:

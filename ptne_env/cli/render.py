@@ -9,7 +9,7 @@ import typer
 
 from ptne_env.cli import options
 from ptne_env.cli.app import app
-from ptne_env.cli.console import check_writable, say
+from ptne_env.cli.console import check_writable, say, this_command
 from ptne_env.evaluation import get_policy_spec
 from ptne_env.evaluation.trajectories import SUFFIXES, record
 from ptne_env.report.page import episode_page
@@ -35,7 +35,7 @@ def render(
     trust = options.require_trust(options.foreign_names(scenario, policy), trust=trust)
     world, spec = options.read_scenario(scenario, changes, trust=trust), get_policy_spec(policy, trust=trust)
     if suffix == ".html":
-        write_atomically(out, episode_page(world, spec, seed=seed))
+        write_atomically(out, episode_page(world, spec, seed=seed, command=this_command()))
     else:
         record(spec, world, seed=seed).save(out)
     say(f"Episode written to {out}")

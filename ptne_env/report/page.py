@@ -28,6 +28,7 @@ from ptne_env.report.tables import (
     leaders,
     means_over_tracks,
     order_policies,
+    place_noun,
     track_tables,
 )
 from ptne_env.report.traces import Scene, make_scene
@@ -81,10 +82,14 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """The content of a page: sections, the answer in sentences and as a picture, and scenes for the player by name."""
+    """The content of a page: sections, the answer in sentences and as a picture, and scenes for the player by name.
+
+    ``noun`` is the word for a scene.
+    """
 
     title: str
     sections: tuple[Section, ...]
+    noun: str = "scenario"
     answer: tuple[str, ...] = ()
     dots: DotPlot | None = None
     scenes: Mapping[str, Scene] = field(default_factory=dict)
@@ -139,14 +144,7 @@ def results_page(
         if progress is not None:
             progress(longest_first[index].name, len(drawn), len(results.tracks))
     scenes = {track.name: drawn[track.name] for track in results.tracks}
-    facts = {
-        **({"command": command} if command else {}),
-        "suite": results.name,
-        "seed": str(results.seed),
-        "split": results.split,
-        "ptne_env": __version__,
-        "Python": platform.python_version(),
-    }
+    noun = place_noun(results)
     names = [track.name for track in results.tracks]
     where = join_words(names, most=3)
     if not results.is_comparison:
@@ -155,6 +153,7 @@ def results_page(
         title=f"{join_words(order_policies(results), most=3)} on {where}",
         answer=answer(results),
         dots=_dot_plot(results),
+        noun=noun,
         sections=(
             Section(
                 "Results",
@@ -165,20 +164,21 @@ def results_page(
             ),
             Section(
                 "Episode player",
-                "Every step of the first episode, which is the same for every policy. Players have the numbers of "
-                "their agents: 0 is player_0.",
+                "Every step of the first episode, which is the same for every policy. It and all figures show the "
+                "policies of the figure above: the paper's law, the best law, the best learned policy and the best "
+                "of yours. Players have the numbers of their agents: 0 is player_0.",
                 has_player=True,
             ),
-            Section("Tracks", "Every metric, and the error over time. Brackets are 95 % intervals."),
+            Section(f"{noun.capitalize()}s", "Every metric, and the error over time. Brackets are 95 % intervals."),
             *(_track_section(results, track, scenes[track.name].episodes) for track in results.tracks),
-            Section("Reproduce", facts=facts),
+            _origin(command, results.seed, results.split, suite=results.name),
         ),
         scenes=scenes,
     ).to_html()
 
 
-def episode_page(scenario: Scenario, spec: PolicySpec, *, seed: int = 0) -> str:
-    """Return the player of the first episode of the test split as one HTML file.
+def episode_page(scenario: Scenario, spec: PolicySpec, *, seed: int = 0, command: str = "") -> str:
+    """Return the player of the first episode of the test split as one HTML file, with the command that repeats it.
 
     Raises:
         ValueError: when the policy cannot act in the scenario.
@@ -186,7 +186,14 @@ def episode_page(scenario: Scenario, spec: PolicySpec, *, seed: int = 0) -> str:
     """
     scenes = {scenario.name: make_scene(Track(scenario.name, scenario, ""), EpisodeSet(1, seed), [spec])}
     player = Section("Episode player", has_player=True)
-    return Page(f"{scenario.name}: {spec.name}", (player,), scenes=scenes).to_html()
+    return Page(f"{scenario.name}: {spec.name}", (player, _origin(command, seed, "test")), scenes=scenes).to_html()
+
+
+def _origin(command: str, seed: int, split: str, **names: str) -> Section:
+    """Return the section that says how to repeat what a page shows; an empty command repeats nothing."""
+    facts = {"command": command} if command else {}
+    facts |= {**names, "seed": str(seed), "split": split}
+    return Section("Reproduce", facts=facts | {"ptne_env": __version__, "Python": platform.python_version()})
 
 
 def _scene_arguments(results: Results, track: Track) -> tuple[Track, EpisodeSet, list[PolicySpec]]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from ptne_env.evaluation.comparison import LAW
-from ptne_env.evaluation.metrics import METRICS, number
+from ptne_env.evaluation.metrics import METRICS, MOST_DIGITS, number
 from ptne_env.evaluation.policy_spec import MARKS, POLICIES
 from ptne_env.evaluation.results import SHOWN, Results, standing
 from ptne_env.evaluation.statistics import Summary, estimate
@@ -49,7 +49,8 @@ class Cell:
         """Return the cell of digits: the mean with two decimals, ± half of its interval."""
         if summary is None or summary.mean is None:
             return cls()
-        half = "n/a" if summary.high is None else f"{summary.high - summary.mean:z.2f}"
+        reach = MOST_DIGITS + 1 if summary.high is None else summary.high - summary.mean
+        half = f"{reach:z.2f}" if reach <= MOST_DIGITS else "n/a"  # a longer interval says nothing
         text = f"{summary.mean:z.2f}".replace("-", "−")
         return cls(text if half == "0.00" else f"{text} ±{half}", summary.mean)
 
@@ -69,13 +70,17 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table, with the heading of the names of its rows as ``subject``, and sentences below it as ``notes``."""
+    """A table, with the heading of the names of its rows as ``subject``, and sentences below it as ``notes``.
+
+    ``totals`` are the names of further rows, which stay last when the others are sorted.
+    """
 
     caption: str
     subject: str
     rows: tuple[str, ...]
     columns: tuple[Column, ...]
     notes: tuple[str, ...] = ()
+    totals: tuple[str, ...] = ()
 
 
 def join_words(words: Sequence[str], most: int | None = None) -> str:
@@ -89,7 +94,7 @@ def join_words(words: Sequence[str], most: int | None = None) -> str:
 def answer_table(results: Results) -> Table:
     """Return the digits on every track: a row per track and a column per policy, as :func:`order_policies` has them.
 
-    The last rows are the means over all scored tracks of digits (the score of a suite), of digits on the way, of digits
+    The totals are the means over all scored tracks of digits (the score of a suite), of digits on the way, of digits
     in the worst tenth of the episodes, and of the ranks in a suite. In a comparison only policies that play all tracks
     have them.
     """
@@ -109,7 +114,7 @@ def answer_table(results: Results) -> Table:
     episodes = " to ".join(map(str, dict.fromkeys([counts[0], counts[-1]])))
     notes = [DIGITS_NOTE, BESIDE_NOTE]
     if any("n/a" in cell.text and cell.value is not None for column in columns for cell in column.cells.values()):
-        notes.append("±n/a: one random episode has no interval")
+        notes.append("±n/a: too few random episodes for an interval")
     if unscored := [track.name for track in results.tracks if not track.scored]:
         notes.append(f"score: the mean of all tracks but {', '.join(unscored)}")
     if ranks:
@@ -118,11 +123,17 @@ def answer_table(results: Results) -> Table:
     notes += [f"{mark} {meaning}" for mark, meaning in MARKS.items() if mark in present]
     return Table(
         f"Digits at the deadline ± half of the 95 % interval, {episodes} episode{'s' * (counts[-1] > 1)}",
-        "scenario" if results.is_comparison else "track",
-        tuple(filter(None, (*tracks, score, *BESIDE, "mean rank" * bool(ranks)))) if means else tuple(tracks),
+        place_noun(results),
+        tuple(tracks),
         tuple(columns),
         (*notes, *_list_reasons(results, tracks)),
+        tuple(filter(None, (score, *BESIDE, "mean rank" * bool(ranks)))) if means else (),
     )
+
+
+def place_noun(results: Results) -> str:
+    """Return the word for what policies play: a comparison has scenarios, and a suite has tracks."""
+    return "scenario" if results.is_comparison else "track"
 
 
 def answer(results: Results) -> tuple[str, ...]:
@@ -130,9 +141,9 @@ def answer(results: Results) -> tuple[str, ...]:
 
     One policy leads another one where the 95 % interval of their difference, paired by episodes, is clear of 0.
     """
-    tracks, noun = results.counted_tracks, "scenario" if results.is_comparison else "track"
+    tracks, noun = results.counted_tracks, place_noun(results)
     rivals = [name for name, spec in results.policies.items() if spec.is_ranked]
-    ranked = [name for name in _rank_policies(results) if name in rivals and _list_tracks(results, name)]
+    ranked = [name for name in order_policies(results) if name in rivals and _list_tracks(results, name)]
     own = [name for name in rivals if name not in POLICIES]
     sentences = []
     if not ranked:
@@ -180,24 +191,14 @@ def _list_tracks(results: Results, policy: str) -> list[str]:
     return [track for track in results.counted_tracks if (track, policy) in results.samples]
 
 
-def order_policies(results: Results) -> list[str]:
-    """Return all policies: :func:`leaders`, oracles, then the rest, each group by rank.
-
-    In this order the numbers that say most find room in a narrow terminal.
-    """
-    names, leading = _rank_policies(results), leaders(results)
-    oracles = [name for name in names if results.policies[name].is_oracle]
-    return list(dict.fromkeys([*[name for name in names if name in leading], *oracles, *names]))
-
-
 def leaders(results: Results) -> dict[str, str]:
     """Return the policies that the answer is about, with what each is: ``{"static": "the paper's law", ...}``.
 
-    They are the paper's law, the best law, the best network in a file, and the best policy that does not ship. One
-    policy may be several of these.
+    They are the paper's law, the best law, the best network in a file, and the best policy that does not ship, of those
+    with a result. One policy may be several of these.
     """
     specs = results.policies
-    names = [name for name in _rank_policies(results) if specs[name].is_ranked]
+    names = [name for name in order_policies(results) if specs[name].is_ranked and _list_tracks(results, name)]
     kinds = {
         "the paper's law": [name for name in names if name == LAW],
         "the best law": [name for name in names if specs[name].is_law],
@@ -211,10 +212,10 @@ def leaders(results: Results) -> dict[str, str]:
     return {name: ", ".join(labels) for name, labels in leading.items()}
 
 
-def _rank_policies(results: Results) -> list[str]:
+def order_policies(results: Results) -> list[str]:
     """Return all policies by rank: by the score of a suite, or by the mean over all tracks of a comparison.
 
-    What does not play all tracks of a comparison comes after what does.
+    What does not play all tracks of a comparison, or none of a suite, comes after what does, and oracles come last.
     """
     means = means_over_tracks(results)
 

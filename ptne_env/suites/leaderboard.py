@@ -35,12 +35,13 @@ class Row:
 def leaderboard(results: Results) -> tuple[Row, ...] | None:
     """Return the rows of a suite, the best first and those without a rank last.
 
-    It is ``None`` for a comparison, or without scores.
+    A policy without values on all scored tracks has no row. It is ``None`` for a comparison, or without scores.
     """
     tracks = [track.name for track in results.tracks if track.scored]
     if results.is_comparison or not tracks:
         return None
-    ranked = [name for name, spec in results.policies.items() if spec.is_ranked]
+    names = [name for name in results.policies if any((track, name) in results.samples for track in tracks)]
+    ranked = [name for name in names if results.policies[name].is_ranked]
     ranks: dict[str, list[int]] = {name: [] for name in ranked}
     for track in tracks:
         standings = {name: results.standing(track, _counted_policy(results, track, name)) for name in ranked}
@@ -48,7 +49,7 @@ def leaderboard(results: Results) -> tuple[Row, ...] | None:
             ranks[name].append(1 + sum(other < mine for other in standings.values()))
     rows = [
         Row(name, score, on_the_way, worst_tenth, float(np.mean(ranks[name])) if name in ranks else None)
-        for name in results.policies
+        for name in names
         for score, on_the_way, worst_tenth in [[_over_tracks(results, tracks, name, metric) for metric in SHOWN]]
     ]
     oracles = {name: spec.is_oracle for name, spec in results.policies.items()}

@@ -178,6 +178,27 @@ def test_a_browser_shows_charts_sorts_and_plays(open_file, text, tmp_path, hosti
     assert int(browser.locator("#player-frame").input_value()) > 117
 
 
+def test_sorting_leaves_totals_and_dashes_last(open_file, tmp_path):
+    cells = {"a": Cell("2", 2.0), "b": Cell(), "c": Cell("1", 1.0), "mean": Cell("9", 9.0)}
+    table = Table("Digits", "track", ("a", "b", "c"), (Column("x", cells),), totals=("mean",))
+    (tmp_path / "page.html").write_text(Page("", (Section("", tables=(table,)),)).to_html(), encoding="utf-8")
+    browser = open_file(tmp_path / "page.html", 800, "light")
+    for heading, order in (("x", "acb"), ("x", "cab"), ("track", "abc"), ("track", "cba")):
+        browser.locator("button", has_text=heading).click()
+        assert browser.locator("tbody th").all_text_contents() == [*order, "mean"]
+
+
+@pytest.mark.parametrize(("last", "is_inside"), [(12.0, True), (1000.0, False)])
+def test_the_player_shows_what_runs_away_and_no_false_line_at_the_frame(open_file, text, tmp_path, last, is_inside):
+    (tmp_path / "page.html").write_text(text, encoding="utf-8")
+    browser = open_file(tmp_path / "page.html", 800, "light")
+    trace = f"{{strategies: [[0, 5, {last}], [10, 9, 8]], estimates: []}}"
+    scene = f"{{t: [0, 1, 2], deadline: 2, owners: [0, 1], equilibrium: [0, 10], traces: {{one: {trace}}}}}"
+    paths = f"[...strategyChart({scene}, 'one').svg.querySelectorAll('path')].map((path) => path.getAttribute('d'))"
+    end = float(browser.evaluate(paths)[2].split()[-1])  # the height of the last point of the first strategy
+    assert (end >= 0) == is_inside
+
+
 def test_a_page_without_a_scene_escapes_its_words():
     table = Table("Claims", "claim", ("<b>",), (Column("says", {"<b>": Cell("&")}),))
     assert "&lt;b&gt;" in Page("Paper", (Section("Claims", tables=(table,)),)).to_html()

@@ -9,8 +9,8 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from ptne_env import PolicySpec, evaluate
-from ptne_env.evaluation import METRICS, get_policy_spec
+from ptne_env import PolicySpec, evaluate, get_scenario
+from ptne_env.evaluation import METRICS, Track, get_policy_spec
 from ptne_env.evaluation.metrics import number
 from ptne_env.evaluation.statistics import Summary
 from ptne_env.perception.observation import LayoutError
@@ -19,10 +19,11 @@ from ptne_env.report.tables import (
     answer,
     answer_table,
     leaders,
+    order_policies,
     track_tables,
 )
 from ptne_env.report.terminal import answer_tables, result_tables
-from ptne_env.suites import leaderboard
+from ptne_env.suites import Suite, leaderboard, run_suite
 
 
 def written(tables, width=172):
@@ -63,16 +64,17 @@ def test_the_answer_fits_the_terminal_and_keeps_the_papers_law(comparison, suite
 
 def test_the_answer_has_a_row_per_track_and_their_mean(comparison, suite, hostile):
     table = answer_table(comparison)
-    assert table.rows == ("energy", "energy-switching", "mean of 2", "on the way", "worst tenth")
+    assert table.rows == ("energy", "energy-switching")
+    assert table.totals == ("mean of 2", "on the way", "worst tenth")
     columns = {column.label: column for column in table.columns}
     assert list(columns)[:2] == ["grounded", "static"]
-    assert list(columns)[2:] == [hostile, "oracle *", "zero-input"]
+    assert list(columns)[2:] == [hostile, "zero-input", "oracle *"]
     for name in ("static", "grounded"):
-        means = [comparison.record(track, name, "digits")["mean"] for track in table.rows[:2]]
+        means = [comparison.record(track, name, "digits")["mean"] for track in table.rows]
         assert columns[name]["energy"].text == digits_of(comparison, "energy", name)
         assert columns[name]["mean of 2"].value == pytest.approx(np.mean(means))
         for row, metric in (("on the way", "digits_on_the_way"), ("worst tenth", "digits_cvar")):
-            values = [comparison.record(track, name, metric)["mean"] for track in table.rows[:2]]
+            values = [comparison.record(track, name, metric)["mean"] for track in table.rows]
             assert columns[name][row].value == pytest.approx(np.mean(values))
     learned = next(column for column in answer_table(suite).columns if column.label == "ppo-nominal")
     assert learned["robots"] == Cell("n/a")
@@ -111,12 +113,36 @@ def test_the_answer_says_what_a_policy_of_the_user_did_that_cannot_play(hostile)
     assert any(note.startswith("failed: mine on energy and") for note in answer_table(failing).notes)
 
 
+def test_the_columns_have_the_order_of_the_score_and_the_weakest_are_hidden():
+    policies = ["zero-input", "random", "grounded", "adaptive", "relay", "static", "oracle"]
+    results = evaluate(policies, ["energy"], episodes=2)
+    digits = [column["energy"].value for column in answer_table(results).columns if "*" not in column.label]
+    assert digits == sorted(digits, reverse=True)
+    text = written(answer_tables(results, 60), 60)
+    hidden = re.search(r"--details, also shows (.*?)\.", " ".join(text.split()))[1].split(", ")
+    shown = [name for name in order_policies(results) if name not in hidden and name != "oracle"]
+    ranked = order_policies(results)[:-1]
+    assert hidden[-1] == "oracle *"
+    assert shown == [*ranked[: len(shown) - 1], "static"] or shown == ranked[: len(shown)]
+
+
+def test_a_policy_that_fails_everywhere_comes_last_and_leads_nothing():
+    ring = Track("ring", get_scenario("energy", channel="noise(std=5.0)"), "Noise.")
+    broken = PolicySpec("broken", lambda layout: 1 / 0)
+    results = run_suite(Suite("noisy", (ring,), episodes=2), [broken, "random", "zero-input"])
+    names = [name for name in order_policies(results) if name != "oracle"]
+    assert names[-1] == "broken"
+    assert "broken" not in leaders(results)
+    (column,) = [column for column in answer_table(results).columns if column.label == "broken"]
+    assert {column[row].text for row in ("on the way", "mean rank")} == {"–"}
+
+
 def test_one_random_episode_has_no_interval_and_the_answer_says_so():
     results = evaluate(["static", "grounded"], ["random-energy"], episodes=1)
     assert answer(results)[1].endswith("of the paper's law (static) on random-energy; one episode has no interval.")
     table = answer_table(results)
     assert all(column["random-energy"].text.endswith(" ±n/a") for column in table.columns)
-    assert "±n/a: one random episode has no interval" in table.notes
+    assert "±n/a: too few random episodes for an interval" in table.notes
     cells = [column["static"] for column in track_tables(results, results.tracks[0])[0].columns]
     assert {cell.interval for cell in cells if cell.value is not None} == {"n/a"}
 
@@ -203,3 +229,7 @@ def test_numbers_have_three_digits():
 def test_digits_have_two_decimals_without_a_negative_zero():
     summaries = [Summary(-0.001, -0.001, -0.001), Summary(-1.5, -1.75, -1.25), Summary(None, None, None), None]
     assert [Cell.plus_minus(summary).text for summary in summaries] == ["0.00", "−1.50 ±0.25", "–", "–"]
+
+
+def test_an_interval_longer_than_the_scale_of_digits_is_not_shown():
+    assert Cell.plus_minus(Summary(0.4, -57.0, 57.8)).text == "0.40 ±n/a"

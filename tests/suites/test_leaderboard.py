@@ -94,9 +94,10 @@ def test_the_worst_tenth_is_the_mean_over_tracks():
     assert board["mine"].worst_tenth.low is not None
 
 
-def test_a_policy_that_acts_nowhere_counts_as_zero_input():
-    board = board_of(REFERENCES | {"unfit": [None, None]}, unfit=entry("unfit"))
-    assert (board["unfit"].score, board["unfit"].mean_rank) == (board["zero-input"].score, 2)
+def test_a_policy_that_acts_nowhere_has_no_row():
+    board = board_of(REFERENCES | {"static": [[[-1.0, -1.0]]] * 2, "unfit": [None, None]}, unfit=entry("unfit"))
+    assert "unfit" not in board
+    assert [board[name].mean_rank for name in ("zero-input", "static")] == [1, 2]
 
 
 def test_a_comparison_has_no_leaderboard():

@@ -9,11 +9,12 @@ async function unpack(id) {
 
 function sortBy(heading) {
   const table = heading.closest("table"), body = table.tBodies[0], column = heading.cellIndex;
-  const order = heading.ariaSort === "descending" ? "ascending" : "descending";
+  const [first, second] = column === 0 ? ["ascending", "descending"] : ["descending", "ascending"];
+  const order = heading.ariaSort === first ? second : first;
   for (const each of heading.parentElement.cells) each.removeAttribute("aria-sort");
   heading.ariaSort = order;
   const sign = order === "ascending" ? 1 : -1;
-  const value = (row) => Number(row.cells[column].dataset.value ?? -Infinity * sign);  // without a value: last
+  const value = (row) => Number(row.cells[column].dataset.value ?? Infinity * sign);  // without a value: last
   const text = (row) => row.cells[column].textContent;
   const compare = (a, b) => column === 0 ? text(a).localeCompare(text(b)) : value(a) - value(b) || 0;
   body.append(...[...body.rows].sort((a, b) => sign * compare(a, b)));

@@ -31,13 +31,13 @@ function niceTicks(low, high) {
   return ticks;
 }
 
-/** A small chart of lines over time with a cursor; y is drawn as scale(y), and values beyond low and high are cut. */
+/** A small chart of lines over time with a cursor; y is drawn as scale(y), and lines leave the frame beyond low and high. */
 function lineChart(scene, lines, options) {
   const { width = WIDTH, height, low, high, ticks, label, scale = (value) => value, written = number } = options;
   const right = width - RIGHT, bottom = height - BOTTOM, end = scene.t.at(-1), deadline = scene.t[scene.deadline];
   const px = (time) => LEFT + time / end * (right - LEFT);
   const share = (value) => (scale(value) - scale(low)) / (scale(high) - scale(low) || 1);
-  const py = (value) => bottom - share(Math.min(high, Math.max(low, value))) * (bottom - TOP);
+  const py = (value) => bottom - share(value) * (bottom - TOP);
   const svg = drawn("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
   const write = (text, x, y, anchor) => svg.append(drawn("text", { x, y, "text-anchor": anchor }, text));
   for (const tick of ticks) {
@@ -50,6 +50,8 @@ function lineChart(scene, lines, options) {
     svg.append(drawn("line", { class: "deadline", x1: px(deadline), x2: px(deadline), y1: TOP, y2: bottom }));
     write("T", px(deadline) - 3, TOP + 11, "end");
   }
+  const inside = `clip-path: inset(${TOP - 1}px ${RIGHT}px ${BOTTOM - 1}px ${LEFT}px) view-box`;
+  const curves = svg.appendChild(drawn("g", { style: inside }));
   for (const { from, y, ...style } of lines) {
     let d = "";
     y.forEach((value, frame) => {
@@ -57,7 +59,7 @@ function lineChart(scene, lines, options) {
       d += `${d && y[frame - 1] !== null ? "L" : "M"}${px(scene.t[frame]).toFixed(1)} ${py(value).toFixed(1)}`;
     });
     if (from) d += from.map((value, frame) => `L${px(scene.t[frame]).toFixed(1)} ${py(value).toFixed(1)}`).reverse().join("");
-    svg.append(drawn("path", { d, fill: "none", ...style }));
+    curves.append(drawn("path", { d, fill: "none", ...style }));
   }
   svg.append(drawn("rect", { class: "frame", x: LEFT, y: TOP, width: right - LEFT, height: bottom - TOP }));
   const cursor = svg.appendChild(drawn("line", { class: "cursor", y1: TOP, y2: bottom }));
@@ -82,9 +84,11 @@ function strategyChart(scene, name) {
       { y, stroke: stroke(component), "stroke-width": 1.8 }
     )),
   ];
-  const starts = [...equilibrium, ...lines.map(({ y }) => y[0])];  // lines that run far beyond these are cut
-  const room = (Math.max(...starts) - Math.min(...starts)) / 2 || 1;
-  const low = Math.min(...starts) - room, high = Math.max(...starts) + room;
+  const starts = [...equilibrium, ...lines.map(({ y }) => y[0])], first = Math.min(...starts), last = Math.max(...starts);
+  const room = 2 * (last - first) || 1;  // lines that run farther leave the frame
+  const near = lines.flatMap(({ y }) => y).filter((value) => value !== null && first - room <= value && value <= last + room);
+  const least = near.reduce((one, other) => Math.min(one, other)), most = near.reduce((one, other) => Math.max(one, other));
+  const margin = (most - least) / 25 || 1, low = least - margin, high = most + margin;
   const label = `Strategies and estimates of ${name}`;
   return lineChart(scene, lines, { height: 220, low, high, ticks: niceTicks(low, high), label });
 }
