@@ -15,12 +15,16 @@ from ptne_env.cli.console import STDOUT, check_writable, console, progress, say,
 from ptne_env.evaluation import COMPARED, ENTERED, POLICIES, PolicySpec, Results, evaluate, get_policy_spec
 from ptne_env.evaluation.tracks import EPISODES, get_suite
 from ptne_env.execution import Runner, Workers
+from ptne_env.perception.encoder import Encoder
+from ptne_env.perception.observation import LayoutError
+from ptne_env.perception.policy import PolicyError
 from ptne_env.report.page import results_page
 from ptne_env.report.terminal import answer_tables, result_tables
 from ptne_env.shared.files import write_atomically
-from ptne_env.shared.parts import names_of
+from ptne_env.shared.parts import FactorySpec, is_part, names_of
 from ptne_env.suites import run_suite
-from ptne_env.world.catalogue import scenario_names
+from ptne_env.world.catalogue import get_scenario, scenario_names
+from ptne_env.world.world import World
 
 SUITE = "ptne-v1"
 """The suite that is run where neither a suite nor a scenario is named."""
@@ -109,6 +113,7 @@ def compare(
     page = None if folder is None or not with_report else folder / "report.html"
     check_writable(json, page, *files)
     policies = [get_policy_spec(name, trust=trust) for name in names]
+    _check_arguments(policies)
     run = _choose_run(suite, places, changes, policies, episodes, trust=trust)
     workers = Workers(jobs, ray)
     if files and files[0].exists():
@@ -136,6 +141,19 @@ def compare(
         say(f"Report written to {page}: open it in a browser")
     if results.failures:
         raise typer.Exit(ExitCode.FAILED)
+
+
+def _check_arguments(policies: list[PolicySpec]) -> None:
+    """Raise a ``ValueError`` for a shipped law whose arguments are out of range, which would fail on every track."""
+    world = World(get_scenario("energy"))
+    for spec in policies:
+        if isinstance(spec.policy, FactorySpec) and is_part(spec.policy.target) and not spec.files:
+            try:
+                spec.build(Encoder(world, spec.interface).layout)
+            except LayoutError:
+                continue  # it may fit other worlds
+            except PolicyError as error:
+                raise ValueError(f"{spec.name}: {error}") from error
 
 
 def _split_names(suite: str | None, names: list[str]) -> tuple[str | None, list[str]]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
+from itertools import groupby
 from typing import Annotated
 
 import typer
 from rich.padding import Padding
+from rich.table import Table
 from rich.text import Text
 
 from ptne_env.cli import options
@@ -18,6 +20,9 @@ from ptne_env.evaluation.tracks import get_suite
 from ptne_env.shared.parts import names_of
 from ptne_env.world.catalogue import CATALOGUE, DESCRIPTIONS
 from ptne_env.world.world import World
+
+MOST_LINES = 40
+"""The number of names of a group that 'ptne list' prints without being asked for the kind."""
 
 
 class Kind(StrEnum):
@@ -55,10 +60,13 @@ def _entries(kind: Kind) -> Iterator[tuple[str, str, str]]:
 
 @app.command("list")
 def list_(
-    kind: Annotated[list[Kind] | None, typer.Argument(help="The kinds of names; all if left out.")] = None,
+    kind: Annotated[
+        list[Kind] | None,
+        typer.Argument(help="The kinds to explain in full; if left out, all names, with a line of each but suites."),
+    ] = None,
     json: options.JsonOption = None,
 ) -> None:
-    """Show the scenarios, policies, metrics and tracks of suites, each with a sentence."""
+    """Show the scenarios, policies, metrics and tracks of suites; 'ptne list policies' explains all policies."""
     check_writable(json)
     listed = {name: list(_entries(name)) for name in kind or Kind}
     objects = {
@@ -69,9 +77,26 @@ def list_(
     screen = console()
     for heading, entries in listed.items():
         screen.print(Text(f"{heading.capitalize()}\n", style="italic"))
+        if not kind:
+            _print_lines(entries)
+            continue
         for name, *texts in entries:
             screen.print(Text(name, style="bold"))
             for text, style in zip(texts, ("", "dim"), strict=True):
                 if text:
                     screen.print(Padding(Text(text, style), (0, 0, 0, 4)))
         screen.print()
+
+
+def _print_lines(entries: Sequence[tuple[str, str, str]]) -> None:
+    """Print names with as much of their sentences as a line has room for; of very many tracks, the first ones."""
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0), expand=True)
+    table.add_column(no_wrap=True, style="bold", min_width=max(len(name) for name, *_ in entries))
+    table.add_column(no_wrap=True, overflow="ellipsis", ratio=1)
+    for _, tracks in groupby(entries, key=lambda entry: entry[0].rpartition("/")[0]):
+        rows = list(tracks)
+        for name, sentence, _ in rows if len(rows) <= MOST_LINES else rows[:3]:
+            table.add_row(Text(name), Text(sentence))
+        if len(rows) > MOST_LINES:
+            table.add_row("", Text(f"and {len(rows) - 3} more: 'ptne list suites'"))
+    console().print(table, "")

@@ -64,7 +64,7 @@ def train(
         int | None,
         typer.Option(
             min=1,
-            help="Number of agent-steps, or of updates of the weights through the world.",
+            help="Number of agent-steps, rounded up to whole rollouts, or of updates of the weights through the world.",
             show_default="20 million agent-steps, 2 million with sb3-sac, or 800 updates",
         ),
     ] = None,

@@ -147,7 +147,8 @@ class PolicySpec:
         """
         source = self.training_seeds[training_seed]
         if by_track := _files_by_track(source):
-            raise LayoutError(f"it has one file per track, for {', '.join(by_track)}, and none for this one")
+            names = ", ".join(by_track)
+            raise LayoutError(f"it has one file per track, for {names}, and none for this one: choose one of those")
         built: Any = source
         try:
             if isinstance(source, FactorySpec):

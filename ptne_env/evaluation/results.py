@@ -8,7 +8,7 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -348,7 +348,7 @@ class Results:
             labels = {name: self.policies[name].label for name in digits}
             width = max(map(len, labels.values()), default=0)
             for name, label in labels.items():
-                cells = [_with_interval(self.summary(track.name, name, metric)) for metric in SHOWN]
+                cells = [_with_interval(self.summary(track.name, name, metric), "{:z.2f}".format) for metric in SHOWN]
                 lines.append(f"  {label:<{width}}  {', '.join(cells)}")
             lines += [f"  {name} {why}" for (place, name), why in self.reasons.items() if place == track.name]
         return "\n".join(lines)
@@ -379,14 +379,14 @@ def read_results(path: str | Path, *, trust: bool = False) -> Results:
     return Results.from_dict(data)
 
 
-def _with_interval(summary: Summary | None) -> str:
+def _with_interval(summary: Summary | None, write: Callable[[float], str] = number) -> str:
     """Format a mean with its interval, where the two differ."""
     if summary is None or summary.mean is None:
         return number(None)
-    mean = number(summary.mean)
-    if summary.low is None:
+    mean = write(summary.mean)
+    if summary.low is None or summary.high is None:
         return f"{mean} (no interval)"
-    low, high = number(summary.low), number(summary.high)
+    low, high = write(summary.low), write(summary.high)
     return mean if low == high else f"{mean} [{low}, {high}]"
 
 

@@ -16,6 +16,7 @@ from ptne_env.evaluation.policy_spec import PolicySpec, get_policy_spec
 from ptne_env.evaluation.rollout import Rollout, rollout
 from ptne_env.evaluation.tracks import Track, compared_tracks
 from ptne_env.perception.encoder import Encoder
+from ptne_env.perception.observation import LayoutError
 from ptne_env.perception.policy import Policy
 from ptne_env.shared.arrays import FloatArray, IntArray, data_frame, require_count
 from ptne_env.shared.files import require_suffix, write_atomically
@@ -231,7 +232,11 @@ def play(track: Track, spec: PolicySpec, episodes: EpisodeSet, kept: int | None 
         })  # fmt: skip
 
     team = None if track.teammates is None else track.teammates.join(world)
-    played = rollout(spec.build(encoder.layout), encoder, start, team, watch)
+    try:
+        policy = spec.build(encoder.layout)
+    except LayoutError as error:
+        raise LayoutError(f"{spec.name} cannot act on {track.name}: {error}") from error
+    played = rollout(policy, encoder, start, team, watch)
     return Trajectories(
         policy=spec.name,
         episodes=episodes,

@@ -154,9 +154,9 @@ def build_law(law: str | FactorySpec | PolicySpec | type[Law], world: World) -> 
         ValueError: when the law cannot act in the world, or the result is no law.
     """
     spec = get_policy_spec(law)
-    built = spec.build(Encoder(world, spec.interface).layout)
+    built = None if spec.files else spec.build(Encoder(world, spec.interface).layout)
     if not isinstance(built, Law):
-        kind = type(built).__name__
+        kind = type(built).__name__ if built else "learned policy"
         raise ValueError(f"{spec.name!r} is no law, but a {kind}: for a certificate subclass ptne_env.laws.Law")
     return built
 

@@ -80,7 +80,10 @@ def test_a_policy_may_have_one_file_per_track(tmp_path):
     results = evaluate([several, alone], [get_scenario(each, slots=4) for each in (name, other)], episodes=3)
     assert np.array_equal(results.samples[name, "mine"]["digits"], results.samples[name, name]["digits"])
     assert results.not_applicable == {
-        (other, "mine"): "it has one file per track, for energy, random-energy, and none for this one"
+        (
+            other,
+            "mine",
+        ): "it has one file per track, for energy, random-energy, and none for this one: choose one of those"
     }
     known = several.to_dict()
     (tmp_path / "energy.npz").unlink()

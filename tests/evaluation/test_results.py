@@ -41,8 +41,8 @@ def test_the_printed_text_has_a_line_per_track_and_policy_the_best_first(results
     assert [line.split("  ")[1] for line in lines] == ["oracle *", "static", "zero-input", "random"]
     cells = []
     for metric in ("digits", "digits_on_the_way", "digits_cvar"):
-        mean, low, high = (number(results.record("energy", "static", metric)[key]) for key in ("mean", "low", "high"))
-        cells.append(f"{mean} [{low}, {high}]")
+        record = results.record("energy", "static", metric)
+        cells.append(f"{record['mean']:.2f} [{record['low']:.2f}, {record['high']:.2f}]")
     assert lines[1].endswith("  " + ", ".join(cells))
     assert other.splitlines()[-1] == f"  mine failed: {reason}"
 
