@@ -18,10 +18,9 @@ class ProjectedGradient(Law):
 
     An iteration evaluates the gradient at the mixed estimates, while an environment shows gradients at the present
     ones. So an iteration takes two steps, a mixing step and a descent step. The environment projects the strategy into
-    its box after each, where the iteration does so after the second only; where mixing leads out of the box, as with
-    copies outside of it, the iterates differ, and approach x* as fast at least. The deadline plays no part: the law
-    moves its estimates to the next iterate within the step, as far as the input limit lets it. The memory is the number
-    of steps done, shape (R, 1).
+    its box after each, and the iteration after the second only. So the iterates are the same where mixing does not lead
+    out of the box, as when all copies start in it. The deadline plays no part: the law moves its estimates to the next
+    iterate within the step, as far as the input limit lets it. The memory is the number of steps done, shape (R, 1).
 
     Args:
         layout: the layout of the environment.

@@ -178,7 +178,8 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
 
     M_α = [[1 − 2αε/N + α²ι_F²/N, ασ(ι + ι_F + αιι_F)/√N], [·, σ²(1 + αι)²]] bounds the growth of
     (‖consensus error‖, ‖disagreement‖)², with σ the largest ‖I − h L − 11ᵀ/N‖ over the modes, the factor by which
-    mixing shrinks disagreement; it is 1 as soon as a mode is disconnected. W keeps the mean on undirected graphs.
+    mixing shrinks disagreement; it is 1 as soon as a mode is disconnected. W keeps the mean on undirected graphs. In a
+    box the environment also projects what was mixed, which the proof does not do.
     """
     alpha, players = law.step, constants.num_players
     iota_strategies, iota = constants.iota_strategies, constants.iota_estimates
@@ -188,7 +189,8 @@ def projected_gradient_condition(law: ProjectedGradient, constants: ProblemConst
     cross = alpha * sigma * (iota + iota_strategies + alpha * iota * iota_strategies) / np.sqrt(players)
     contraction = np.array([[mean, cross], [cross, sigma**2 * (1 + alpha * iota) ** 2]])
     shrinks = Condition.below("λ_max(M_α) < 1", np.linalg.eigvalsh(contraction)[-1], 1.0, exact=constants.exact)
-    return decisive("Bianchi and Grammatico (2021)", _undirected(constants), _strongly_monotone(constants), shrinks)
+    needed = _undirected(constants), _no_bounds(constants), _strongly_monotone(constants), shrinks
+    return decisive("Bianchi and Grammatico (2021)", *needed)
 
 
 def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -> Condition:
