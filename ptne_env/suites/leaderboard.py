@@ -35,7 +35,7 @@ class Row:
 def leaderboard(results: Results) -> tuple[Row, ...] | None:
     """Return the rows of a suite, the best first and those without a rank last.
 
-    A policy without values on all scored tracks has no row. It is ``None`` for a comparison, or without scores.
+    A policy without a result on any scored track has no row. It is ``None`` for a comparison, or without scores.
     """
     tracks = [track.name for track in results.tracks if track.scored]
     if results.is_comparison or not tracks:

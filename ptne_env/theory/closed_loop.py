@@ -21,7 +21,7 @@ from scipy import linalg
 from ptne_env.games import Game
 from ptne_env.laws import Law
 from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, require_non_negative
-from ptne_env.theory.constants import jacobian_at_equilibrium, last_modes, rounding
+from ptne_env.theory.constants import jacobian_at_equilibrium, last_modes, rounding_error
 from ptne_env.world.clock import TimeTransformation
 from ptne_env.world.graphs import Graph
 from ptne_env.world.switching import SwitchingTopology
@@ -140,7 +140,7 @@ def _respond(law: Law, game: Game, seen: FloatArray, weights: FloatArray, **time
 def spectral_abscissa(matrix: FloatArray) -> float:
     """Return min Re μ over the eigenvalues μ of M, the rate of e^{−Mτ}; exactly 0 where only rounding remains."""
     smallest = float(np.linalg.eigvals(matrix).real.min())
-    return 0.0 if abs(smallest) <= rounding(matrix) else smallest
+    return 0.0 if abs(smallest) <= rounding_error(matrix) else smallest
 
 
 def decay_rate(
@@ -154,7 +154,8 @@ def decay_rate(
     transformed one for a loop in τ since dτ/ds → 1, gives the Floquet rate −ln ρ(Π e^{−M_m Δ_m})/period. On the
     physical clock a loop in τ meets finitely many switches before T, so only the last graph counts, and the rate is 0
     where that graph is disconnected (docs/errata.md, 2). On the transformed clock a loop in t meets ever faster
-    switches, which gives the spectral abscissa of the mean of M.
+    switches, which gives the spectral abscissa of the mean of M. The rate is a lower bound where what is slow in each
+    mode vanishes so fast in the others that the product underflows.
     """
     if topology.is_fixed:
         return spectral_abscissa(matrices[0])
@@ -162,10 +163,12 @@ def decay_rate(
         return spectral_abscissa(matrices[last_modes(topology, deadline)[0]])
     if clock == "physical" and topology.clock == "transformed":
         return spectral_abscissa(np.average(matrices, axis=0, weights=topology.mode_dwells))
-    decay, monodromy = 0.0, np.eye(len(matrices[0]))
+    decay, identity = 0.0, np.eye(len(matrices[0]))
+    monodromy = identity
     for matrix, dwell in zip(matrices, topology.mode_dwells, strict=True):
         rate = spectral_abscissa(matrix)  # taken out, since its exponential may be 0 in float64
-        decay, monodromy = decay + rate * dwell, linalg.expm((rate * np.eye(len(matrix)) - matrix) * dwell) @ monodromy
+        decay += rate * dwell
+        monodromy = linalg.expm((rate * identity - matrix) * dwell) @ monodromy
     remaining = max(float(np.abs(np.linalg.eigvals(monodromy)).max()), float(np.finfo(np.float64).tiny))
     return float((decay - math.log(remaining)) / topology.period)
 
@@ -179,7 +182,7 @@ def largest_stable_step(matrix: FloatArray) -> float | None:
         The step in units of τ; ``None`` when every step amplifies some error, and ∞ when none does.
     """
     eigenvalues = np.linalg.eigvals(matrix)
-    eigenvalues = eigenvalues[np.abs(eigenvalues) > rounding(matrix)]
+    eigenvalues = eigenvalues[np.abs(eigenvalues) > rounding_error(matrix)]
     if eigenvalues.real.min(initial=1.0) <= 0:
         return None
     return float((2 * eigenvalues.real / np.abs(eigenvalues) ** 2).min(initial=math.inf))
@@ -229,12 +232,12 @@ class SampledLoop:
     clock: LoopClock
     scale: float
 
-    def errors(self, start: FloatArray, rounding: np.random.Generator | None = None) -> FloatArray:
+    def errors(self, start: FloatArray, generator: np.random.Generator | None = None) -> FloatArray:
         """Return the error **x** − 1⊗x* at every instant.
 
         Args:
             start: the initial error, shape (Nn,).
-            rounding: adds to every step what is more than its rounding; ``None`` is exact arithmetic.
+            generator: draws an error for every step that is larger than its rounding; without it, none is added.
 
         Returns:
             Shape (K+1, Nn); not finite from where a diverging loop leaves the range of float64.
@@ -243,9 +246,9 @@ class SampledLoop:
         result[0] = start
         for k, (mode, step) in enumerate(zip(self.modes, self.steps, strict=True)):
             result[k + 1] = result[k] - step * (self.matrices[mode] @ result[k])
-            if rounding is not None:
+            if generator is not None:
                 size = _ROUNDING * np.abs(result[k]) + _EXACT_ROUNDING * self.scale
-                result[k + 1] += step * rounding.uniform(-1, 1, len(start)) * (np.abs(self.matrices[mode]) @ size)
+                result[k + 1] += step * generator.uniform(-1, 1, len(start)) * (np.abs(self.matrices[mode]) @ size)
             if not np.all(np.abs(result[k + 1]) < 1e150):  # squares of larger errors would overflow
                 result[k + 1] = np.inf
                 break

@@ -28,7 +28,7 @@ from ptne_env.laws import (
     Static,
 )
 from ptne_env.shared.arrays import FloatArray, IntArray
-from ptne_env.theory.constants import ProblemConstants, gain_bound, rounding
+from ptne_env.theory.constants import ProblemConstants, gain_bound, rounding_error
 from ptne_env.world.graphs import union
 
 
@@ -93,7 +93,7 @@ def _undirected(constants: ProblemConstants) -> Condition:
 
 
 def _no_bounds(constants: ProblemConstants, *, unless_alone: bool = False) -> Condition:
-    """Return whether no component has a bound, apart from those that are the only one of their player if so asked."""
+    """Return the condition that no component has a bound; ``unless_alone``, the only one of a player may have one."""
     several = np.bincount(constants.owners)[constants.owners] > 1
     count = int(np.count_nonzero(constants.is_bounded & (several | (not unless_alone))))
     of = " of players of several components" * unless_alone
@@ -228,19 +228,18 @@ def relay_condition(law: Relay, constants: ProblemConstants) -> Condition:  # no
 
 
 def routed_condition(law: RoutedUnknown, constants: ProblemConstants) -> Condition:
-    """ε > 0, ρ(D⁻¹ |dF − D|) < 1 with D the diagonal of dF, η max D ≤ 1, and all links act again and again.
+    """ε > 0, ρ(D⁻¹ |dF − D|) < 1 with D the diagonal of dF, η max D < 1, and all links act again and again.
 
     Gradient steps then contract as best responses do, with an owner for each component (:func:`coupling_radius`), in
     boxes, too.
     """
-    components = np.arange(len(constants.jacobian))
     steepest = constants.jacobian.diagonal().max()
-    radius = coupling_radius(constants.jacobian, components)
+    radius = coupling_radius(constants.jacobian, np.arange(len(constants.jacobian)))
     return decisive(
         "Bertsekas and Tsitsiklis (1989)",
         _strongly_monotone(constants),
         _all_links_recur(constants),
-        Condition.below("η < 1/max D, D = diag(dF)", law.step, 1 / steepest, exact=constants.exact),
+        Condition.below("η max D < 1, D = diag(dF)", law.step * steepest, 1.0, exact=constants.exact),
         Condition.below("ρ(D⁻¹ |dF − D|) < 1", radius, 1.0, exact=constants.exact),
     )
 
@@ -285,7 +284,7 @@ def coupling_radius(jacobian: FloatArray, owners: IntArray) -> float:
     coupling = np.zeros((len(blocks), len(blocks)))
     for i, own in enumerate(blocks):
         square = jacobian[np.ix_(own, own)]
-        if np.linalg.svd(square, compute_uv=False)[-1] <= rounding(jacobian):
+        if np.linalg.svd(square, compute_uv=False)[-1] <= rounding_error(jacobian):
             return np.inf
         response = np.linalg.solve(square, jacobian[own])
         for j, other in enumerate(blocks):

@@ -69,7 +69,7 @@ def monotonicity_constants(game: Game, *, radius: float = 10.0) -> MonotonicityC
     blocks = [sampled[:, game.owners == player] for player in range(game.num_players)]
     smallest = float(np.linalg.eigvalsh(symmetric)[:, 0].min())
     return MonotonicityConstants(
-        epsilon=0.0 if abs(smallest) <= rounding(symmetric) else smallest,
+        epsilon=0.0 if abs(smallest) <= rounding_error(symmetric) else smallest,
         iota_strategies=_largest_norm(sampled),
         iota_estimates=max(_largest_norm(block) for block in blocks),
         exact=game.is_affine,
@@ -77,8 +77,8 @@ def monotonicity_constants(game: Game, *, radius: float = 10.0) -> MonotonicityC
     )
 
 
-def rounding(matrix: FloatArray) -> float:
-    """Return the size below which an eigenvalue or singular value of a matrix, (..., m, m), counts as 0."""
+def rounding_error(matrix: FloatArray) -> float:
+    """Return the size below which an eigenvalue or singular value counts as 0, for matrices of shape (..., m, m)."""
     return 10 * matrix.shape[-1] * float(np.finfo(np.float64).eps * np.linalg.norm(matrix, axis=(-2, -1)).max())
 
 

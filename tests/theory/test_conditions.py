@@ -107,6 +107,13 @@ def test_in_a_box_only_proofs_that_allow_for_it_hold(law):
     assert (boxed.holds, "no bounds" in boxed.name) == (not needs_none, needs_none)
 
 
+@pytest.mark.parametrize("law", theory.CONDITIONS)
+def test_every_condition_fails_in_a_game_without_curvature(law):
+    game = QuadraticGame(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.ones(2))
+    scenario = get_scenario("energy", game=game, topology=FactorySpec.of("topology:path", players=2))
+    assert not condition_on(scenario, law, **GENEROUS.get(law, {})).holds
+
+
 def test_conditions_that_come_from_a_linearisation_say_so():
     assert "holds, by numbers that prove nothing" in str(theory.Condition.above("x > 0", 1, 0, exact=False))
     assert str(theory.Condition.above("x > 0", 1, 0)).endswith("holds")
