@@ -188,6 +188,14 @@ def test_sorting_leaves_totals_and_dashes_last(open_file, tmp_path):
         assert browser.locator("tbody th").all_text_contents() == [*order, "mean"]
 
 
+def test_an_error_that_hardly_changes_is_drawn_between_two_powers_of_ten(open_file, text, tmp_path):
+    (tmp_path / "page.html").write_text(text, encoding="utf-8")
+    browser = open_file(tmp_path / "page.html", 800, "light")
+    scene = "{t: [0, 1], deadline: 1, traces: {one: {error: [1.4, 1.3]}}}"
+    labels = f"[...errorChart({scene}, 'one').svg.querySelectorAll('text')].map((each) => each.textContent)"
+    assert {"10⁰", "10¹"} <= set(browser.evaluate(labels))
+
+
 @pytest.mark.parametrize(("last", "is_inside"), [(12.0, True), (1000.0, False)])
 def test_the_player_shows_what_runs_away_and_no_false_line_at_the_frame(open_file, text, tmp_path, last, is_inside):
     (tmp_path / "page.html").write_text(text, encoding="utf-8")

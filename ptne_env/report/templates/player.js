@@ -97,10 +97,11 @@ const superscript = (power) => [...String(power)].map((sign) => sign === "-" ? "
 
 const logarithms = (values) => values.map((value) => Math.log10(Math.max(value, 1e-12)));
 
-/** A chart of logarithms of errors. */
+/** A chart of logarithms of errors, over whole powers of ten. */
 function powerChart(scene, lines, options) {
   const values = lines.flatMap(({ y, from = [] }) => [...y, ...from]);
-  const low = Math.min(...values), high = Math.max(...values), ticks = niceTicks(low, high).filter(Number.isInteger);
+  const low = Math.floor(Math.min(...values)), high = Math.max(Math.ceil(Math.max(...values)), low + 1);
+  const ticks = niceTicks(low, high).filter(Number.isInteger);
   return lineChart(scene, lines, { low, high, ticks, written: (power) => `10${superscript(power)}`, ...options });
 }
 
