@@ -2,7 +2,7 @@
 
     tune [ALGORITHM]...     other settings of each algorithm beside the defaults, for fewer agent-steps on two tracks
     train [ALGORITHM]...    the defaults with several seeds on every track of ptne-v1; PPO for 20 M agent-steps, or for
-                            50 M where the last fifth of those gained 0.05 digits or more, and SAC for 2 M
+                            50 M where the last fifth of those gained or lost 0.05 digits or more, and SAC for 2 M
     publish                 play what was trained on the test episodes, and replace its rows in ``algorithms.csv``, its
                             learning curves in ``curves.csv``, and the files of ``ppo`` by those seeds of PPO that
                             have more digits on validation episodes; then draw the picture
@@ -167,7 +167,7 @@ def train(algorithms: Sequence[str], out: Path, jobs: int) -> None:
         for algorithm in algorithms:
             plan = PLANS[algorithm]
             for track in TRACKS:
-                is_flat = gain(folder_of(algorithm, track, plan.budgets[0], out)) < FLAT
+                is_flat = abs(gain(folder_of(algorithm, track, plan.budgets[0], out))) < FLAT
                 steps = plan.budgets[0 if is_flat else -1]
                 for seed in plan.seeds[:last]:
                     folder = folder_of(algorithm, track, steps, out) / f"seed-{seed}"

@@ -15,3 +15,4 @@ scenario = ptne_env.get_scenario("energy-switching-transformed", start="paper", 
 run = ptne_env.record("static", scenario)
 run.plot(estimates=True).savefig("run.png", dpi=200)
 print(f"written: run.png, {len(run.t) - 1} steps")
+print(f"error at the deadline: {run.errors[run.t <= scenario.deadline][-1, 0]:.1%}, at the end {run.errors[-1, 0]:.1%}")

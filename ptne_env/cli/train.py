@@ -151,9 +151,12 @@ def _say_result(policy: Path, summary: RunSummary, trainer: training.Trainer, *,
     from ptne_env.training.curve import FLAT, last_gain
 
     gained = last_gain(policy.parent)
-    flat = "" if gained < FLAT else ": more --steps gain more"
     say(f"{digits}, after {summary.seconds:.0f} s; {policy.name} written to {policy.parent}")
-    say(f"The last fifth of the training gained {gained:.2f} digits{flat}")
+    if gained <= -FLAT:
+        say(f"The last fifth of the training lost {-gained:.2f} digits: try another --seed or a smaller learning_rate")
+    else:
+        hint = "" if gained < FLAT else ": more --steps gain more"
+        say(f"The last fifth of the training gained {gained:.2f} digits{hint}")
     if summary.resumed_at and not trainer.resumes_exactly:
         say(
             f"The run was resumed at {summary.resumed_at} {trainer.unit}: the policy is not that of an uninterrupted "

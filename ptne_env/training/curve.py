@@ -25,7 +25,7 @@ CURVE_EPISODES = 50
 """The validation episodes of each evaluation of a learning curve."""
 
 FLAT = 0.05
-"""A training is flat when its last fifth gained fewer digits."""
+"""A training is flat when its last fifth gained or lost fewer digits."""
 
 
 def read_learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
@@ -41,7 +41,7 @@ def read_learning_curve(folder: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def last_gain(folder: Path) -> float:
-    """Return the digits that the last fifth of a run gained; it is flat where that is below :data:`FLAT`."""
+    """Return the digits that the last fifth of a run gained, which are negative where it lost some."""
     steps, digits = read_learning_curve(folder)
     return float(digits[-1] - np.interp(0.8 * steps[-1], steps, digits))
 
@@ -102,7 +102,7 @@ def draw(runs: Mapping[str, Path], path: Path, *, title: str, steps: int, laws: 
         for index, (name, folder) in enumerate(runs.items()):
             curve = read_learning_curve(folder)
             axes.plot(*curve, color=COLOURS[index % len(COLOURS)], marker="o", label=name, clip_on=False)
-            steps = max(steps, *curve[0].astype(int))
+            steps = max([steps, *curve[0].astype(int)])
         for (name, kind), style in zip(leaders(laws).items(), ("--", ":"), strict=False):
             record = laws.record(laws.tracks[0].name, name, "digits")
             axes.axhline(record["mean"], color=INK, linestyle=style, linewidth=1, label=f"{name} ({kind})")

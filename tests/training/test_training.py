@@ -239,7 +239,10 @@ def test_the_picture_shows_every_run(run, tmp_path):
     assert np.isfinite(digits).all()
     laws = evaluate_laws(SCENARIO, 2)
     assert list(leaders(laws).values()) == ["the paper's law", "the best law"]
-    draw({"one": out, "two": out}, tmp_path / "curve.png", title="Training", steps=10, laws=laws)
+    without_curve = tmp_path / "removed"
+    draw(
+        {"one": out, "two": out, "three": without_curve}, tmp_path / "curve.png", title="Training", steps=10, laws=laws
+    )
     picture = image.imread(tmp_path / "curve.png")
     assert picture.shape[:2] == (600, 960)
     colours = set(map(tuple, (255 * picture[..., :3]).astype(int).reshape(-1, 3)))
