@@ -1,7 +1,7 @@
 """How much the tracks of ptne-v1 differ, and how sure its ranking is: ``python -m baselines.ranking``.
 
 It prints the share of the variance between the best entries that the first principal component over the scored tracks
-explains, the entry that leads each track with its lead over the second, and Kendall's τ between the rankings of all
+explains, the best entry of each track with its lead over the second, and Kendall's τ between the rankings of all
 entries by score with two seeds of the episodes. Entries are the policies that have a rank. Finished jobs are kept in
 the folder ``--out``, which is that of ``publish``, and not run again.
 """
@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from baselines.published import interval_of, with_interval
 from ptne_env.evaluation import ENTERED, POLICIES, Results
 from ptne_env.execution import Runner, Workers
 from ptne_env.suites import leaderboard, run_suite
@@ -52,7 +53,8 @@ def leads(results: Results) -> list[str]:
     for track in results.counted_tracks:
         first, second, *_ = [name for name in results.ranked(track) if results.policies[name].is_ranked]
         lead = results.difference(first, second, track)
-        lines.append(f"{track}: {first} leads {second} by {lead.mean:.2f} [{lead.low:.2f}, {lead.high:.2f}]")
+        verb = "leads" if lead.low is not None and lead.low > 0 else "cannot be told from"
+        lines.append(f"{track}: {first} {verb} {second}, by {with_interval(interval_of(lead))}")
     return lines
 
 

@@ -11,11 +11,11 @@ from scipy import stats
 
 from baselines import algorithms, edge_cases, learned, pages, publish, published, ranking, tune
 from ptne_env import CATALOGUE, evaluate, learn
-from ptne_env.evaluation import CODED, ENTERED, POLICIES, EpisodeSet
+from ptne_env.evaluation import CODED, ENTERED, POLICIES, EpisodeSet, Track
 from ptne_env.evaluation.comparison import Job
 from ptne_env.evaluation.tracks import compared_tracks
 from ptne_env.execution import Runner
-from ptne_env.suites import get_suite, leaderboard, run_suite
+from ptne_env.suites import Suite, get_suite, leaderboard, run_suite
 from ptne_env.suites.robustness import robustness
 from ptne_env.training.configuration import RunSummary, write_record
 from ptne_env.training.curve import write_learning_curve
@@ -233,3 +233,9 @@ def test_one_principal_component_explains_tracks_that_rank_alike_and_not_others(
     alike = np.outer(generator.normal(size=8), [1.0, 2.0, 5.0])
     assert ranking.principal_share(alike) == pytest.approx(1)
     assert ranking.principal_share(np.linalg.qr(generator.normal(size=(8, 3)))[0]) < 0.6
+
+
+@pytest.mark.parametrize(("episodes", "line"), [(1, "cannot be told from static, by"), (6, "leads static, by")])
+def test_an_entry_leads_a_track_where_the_interval_says_so(episodes, line):
+    suite = Suite("tiny", (Track("energy", "random-energy", "A track."),), episodes)
+    assert ranking.leads(run_suite(suite, ["grounded"]))[0].startswith(f"energy: grounded {line}")

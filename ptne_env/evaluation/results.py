@@ -126,7 +126,8 @@ class Results:
     def values(self, track: str, policy: str, metric: str) -> FloatArray | None:
         """Return the numbers per training seed and episode whose mean is a metric; ``None`` where there are none.
 
-        An episode in which nothing is random stands twice, so that its numbers are known to be constant.
+        An episode in which nothing is random stands twice, so that its numbers are known to be constant. A timing
+        stands once: all episodes are one measurement.
 
         Raises:
             ValueError: for an unknown metric.
@@ -135,6 +136,8 @@ class Results:
         samples = self.samples.get((track, policy), {}).get(declared.source)
         if samples is None:
             return None
+        if declared.is_timing:
+            return samples[:, :1]
         return np.repeat(STATISTICS[declared.statistic](samples), 2 if track in self._exact else 1, axis=1)
 
     @cached_property
@@ -178,7 +181,7 @@ class Results:
             policy: the name of the policy.
             other: the name of the policy whose values are subtracted.
             tracks: the name of a track, or several; the :attr:`counted_tracks` if left out. The mean is over those on
-                which both policies have values.
+                which both policies have values in the same episode.
             metric: the name of the metric.
 
         Raises:
@@ -189,9 +192,24 @@ class Results:
         names = self.counted_tracks if tracks is None else [tracks] if isinstance(tracks, str) else list(tracks)
         for name in names:
             require_name("track", name, self.episodes)
-        pairs = [(self.values(track, policy, metric), self.values(track, other, metric)) for track in names]
-        both = [(mine, theirs) for mine, theirs in pairs if mine is not None and theirs is not None]
-        return estimate([mine for mine, _ in both], minus=[theirs for _, theirs in both])
+        return self.mean_over_tracks(names, metric, policy, other)
+
+    def mean_over_tracks(self, tracks: Iterable[str], metric: str, *policies: str) -> Summary:
+        """Return the mean over tracks of a metric of one policy, or that of the first minus that of the second.
+
+        Tracks without an episode in which all of these have values do not count. Scenarios of a comparison have the
+        same seeds, so that an episode is easy or hard in all of them: it counts once, with its mean over them.
+        """
+        together: dict[Any, list[list[FloatArray]]] = {}
+        for track in tracks:
+            arrays = [values for policy in policies if (values := self.values(track, policy, metric)) is not None]
+            if len(arrays) < len(policies) or not np.all([np.isfinite(a).any(axis=0) for a in arrays], axis=0).any():
+                continue
+            is_whole = all(np.isfinite(array).all() for array in arrays)
+            together.setdefault((self.episode_sets[track], arrays[0].shape) if is_whole else track, []).append(arrays)
+        share = len(together) / max(1, sum(map(len, together.values())))
+        scores = [[share * np.sum(each, axis=0) for each in zip(*group, strict=True)] for group in together.values()]
+        return estimate(*zip(*scores, strict=True)) if scores else Summary(None, None, None)
 
     # --- files ------------------------------------------------------------------------------------------------------
 

@@ -42,14 +42,14 @@ def estimate(scores: Scores, minus: Scores | None = None) -> Summary:
     has neither V_s nor V_c.
 
     Args:
-        scores: per track, with the same training seeds in all tracks; NaN where an episode of the only track has no
-            value.
+        scores: per track, with the same training seeds in all tracks; NaN where an episode has no value. V_s is that of
+            the training seeds that have values on all tracks.
         minus: the scores of another policy in the same episodes: the estimate is then of the mean of the differences,
             in which each policy has its V_s and V_c.
 
     Returns:
-        The mean and its interval. A constant has low = high = mean; one episode has no interval; all are ``None`` where
-        no episode has a value.
+        The mean and its interval. A constant has low = high = mean; one episode has no interval, nor have training
+        seeds of which none has values on all tracks; all are ``None`` where no episode has a value.
     """
     policies = [scores] if minus is None else [scores, minus]
     of_seeds: list[list[FloatArray]] = [[] for _ in policies]
@@ -62,12 +62,14 @@ def estimate(scores: Scores, minus: Scores | None = None) -> Summary:
         contrast = np.zeros(np.count_nonzero(valued))
         for sign, array, means in zip((1, -1), arrays, of_seeds, strict=False):
             values = np.where(np.isfinite(array), array, np.nan)[:, valued]
-            values = values[np.isfinite(values).any(axis=1)]
+            has_values = np.isfinite(values).any(axis=1)
+            values = values[has_values]
             shift = float(np.nanmin(values))  # so that a constant keeps its last bit
             values = values - shift
             mean = float(np.nanmean(values))
             by_seed, by_episode = (np.nanmean(values, axis=axis) for axis in (1, 0))
-            means.append(by_seed)
+            means.append(np.full(len(array), np.nan))
+            means[-1][has_values] = by_seed
             contrast += sign * by_episode
             middle += sign * (shift + mean)
             if min(values.shape) > 1:
@@ -77,10 +79,12 @@ def estimate(scores: Scores, minus: Scores | None = None) -> Summary:
     if not of_episodes:
         return Summary(None, None, None)
     middle /= len(scores)
-    if min(map(len, of_episodes)) == 1:
+    seed_means = [np.mean(means, axis=0) for means in of_seeds]
+    seed_means = [means[np.isfinite(means)] for means in seed_means]
+    if min(map(len, of_episodes)) == 1 or not all(map(len, seed_means)):
         return Summary(middle, None, None)
     episode_parts = [_variance_of_mean(contrast) for contrast in of_episodes]
-    seed_parts = [_variance_of_mean(np.mean(means, axis=0)) for means in of_seeds]
+    seed_parts = [_variance_of_mean(means) for means in seed_means]
     by_episodes = max(sum(part for part, _ in episode_parts) - interaction, 0.0)
     by_seeds = sum(part for part, _ in seed_parts)
     half = (_squared_quantile(seed_parts) * by_seeds + _squared_quantile(episode_parts) * by_episodes) ** 0.5

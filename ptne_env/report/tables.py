@@ -10,7 +10,7 @@ from ptne_env.evaluation.comparison import LAW
 from ptne_env.evaluation.metrics import METRICS, MOST_DIGITS, number
 from ptne_env.evaluation.policy_spec import MARKS, POLICIES
 from ptne_env.evaluation.results import SHOWN, Results, standing
-from ptne_env.evaluation.statistics import Summary, estimate
+from ptne_env.evaluation.statistics import Summary
 from ptne_env.evaluation.tracks import Track
 from ptne_env.suites.leaderboard import leaderboard
 
@@ -114,7 +114,7 @@ def answer_table(results: Results) -> Table:
     episodes = " to ".join(map(str, dict.fromkeys([counts[0], counts[-1]])))
     notes = [DIGITS_NOTE, BESIDE_NOTE]
     if any("n/a" in cell.text and cell.value is not None for column in columns for cell in column.cells.values()):
-        notes.append("±n/a: too few random episodes for an interval")
+        notes.append("±n/a: too few random episodes or training seeds for an interval")
     if unscored := [track.name for track in results.tracks if not track.scored]:
         notes.append(f"score: the mean of all tracks but {', '.join(unscored)}")
     if ranks:
@@ -168,7 +168,8 @@ def answer(results: Results) -> tuple[str, ...]:
 def _leads(results: Results, best: str, other: str) -> bool:
     """Return whether a policy with more digits leads another one on average over its tracks; one episode decides."""
     lead = results.difference(best, other, _list_tracks(results, best))
-    return lead.low is None or lead.low > 0
+    least = lead.mean if lead.low is None else lead.low
+    return least is not None and least > 0
 
 
 def _compare(results: Results, best: str, other: str, noun: str) -> str:
@@ -236,13 +237,9 @@ def means_over_tracks(results: Results) -> dict[str, tuple[Summary, ...]]:
     board = leaderboard(results)
     if board is not None:
         return {row.policy: (row.score, row.on_the_way, row.worst_tenth) for row in board}
-    means = {}
-    for name in results.policies:
-        values = [[results.values(track.name, name, metric) for track in results.tracks] for metric in SHOWN]
-        whole = [[array for array in arrays if array is not None] for arrays in values]
-        if len(whole[0]) == len(results.tracks):
-            means[name] = tuple(map(estimate, whole))
-    return means
+    tracks = [track.name for track in results.tracks]
+    whole = [name for name in results.policies if all((track, name) in results.samples for track in tracks)]
+    return {name: tuple(results.mean_over_tracks(tracks, metric, name) for metric in SHOWN) for name in whole}
 
 
 def track_tables(results: Results, track: Track) -> list[Table]:

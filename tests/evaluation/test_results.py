@@ -78,6 +78,34 @@ def test_a_difference_is_paired_and_over_the_tracks_that_both_play(results):
         results.difference("static", "zero-input", metric="digit")
 
 
+def test_the_episodes_that_scenarios_share_count_once():
+    """The same world by two names tells no more than by one; a suite draws other episodes for every track."""
+    worlds = [ptne_env.get_scenario("random-energy", name=name) for name in ("first", "second")]
+    both = evaluate(["static", "zero-input"], worlds, episodes=6)
+    once, twice = (both.difference("static", "zero-input", tracks) for tracks in ("first", ["first", "second"]))
+    assert vars(twice) == pytest.approx(vars(once))
+    assert vars(both.mean_over_tracks(["first", "second"], "digits", "static")) == pytest.approx(
+        vars(both.summary("first", "static", "digits"))
+    )
+    drawn = {name: replace(each, track=("mine", name)) for name, each in both.episode_sets.items()}
+    apart = replace(both, episode_sets=drawn).difference("static", "zero-input")
+    assert apart.high - apart.low < 0.8 * (twice.high - twice.low)
+
+
+def test_a_track_on_which_a_policy_never_settles_leaves_the_difference_on_the_others():
+    results = evaluate(["grounded", "static"], ["energy", "energy-switching"], episodes=4)
+    assert results.record("energy-switching", "static", "settling_time")["mean"] is None
+    over_both = results.difference("grounded", "static", metric="settling_time")
+    assert over_both.mean < 0
+    assert over_both == results.difference("grounded", "static", "energy", "settling_time")
+
+
+def test_a_timing_is_one_measurement_without_an_interval(results):
+    record = results.record("energy", "static", "microseconds_per_decision")
+    assert record["mean"] > 0
+    assert record["low"] is record["high"] is None
+
+
 def test_policies_stand_by_digits_to_two_decimals_and_then_by_digits_on_the_way():
     def place(digits, on_the_way):
         return standing(*(None if mean is None else Summary(mean, mean, mean) for mean in (digits, on_the_way)))

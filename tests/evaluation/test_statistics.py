@@ -39,6 +39,19 @@ def test_a_training_seed_without_values_is_left_out():
     assert estimate([np.vstack([values, np.full(50, np.nan)])]) == estimate([values])
 
 
+def test_training_seeds_count_where_they_have_values_on_all_tracks():
+    values = np.random.default_rng(0).normal(size=(2, 3, 50))
+    values[1, 2] = np.nan
+    summary = estimate(values)
+    assert summary.mean == pytest.approx((values[0].mean() + values[1, :2].mean()) / 2)
+    without = estimate(values[:, :2])
+    assert summary.high - summary.low == pytest.approx(without.high - without.low, rel=0.1)
+    values[1, :2], values[1, 2], values[0, 2] = np.nan, 1.0, np.nan
+    apart = estimate(values)
+    assert apart.mean == pytest.approx((values[0, :2].mean() + 1) / 2)
+    assert apart.low is apart.high is None
+
+
 def test_the_interval_of_one_policy_on_one_track_is_that_of_student():
     values = np.random.default_rng(1).normal(2.0, 3.0, size=12)
     low, high = stats.t.interval(0.95, 11, values.mean(), stats.sem(values))

@@ -141,7 +141,7 @@ def test_one_random_episode_has_no_interval_and_the_answer_says_so():
     assert answer(results)[1].endswith("of the paper's law (static) on random-energy; one episode has no interval.")
     table = answer_table(results)
     assert all(column["random-energy"].text.endswith(" ±n/a") for column in table.columns)
-    assert "±n/a: too few random episodes for an interval" in table.notes
+    assert "±n/a: too few random episodes or training seeds for an interval" in table.notes
     cells = [column["static"] for column in track_tables(results, results.tracks[0])[0].columns]
     assert {cell.interval for cell in cells if cell.value is not None} == {"n/a"}
 
@@ -163,14 +163,15 @@ def test_policies_that_win_different_episodes_are_not_told_apart(comparison):
 
 
 def test_the_answer_about_several_tracks_is_that_of_the_paired_mean_difference(comparison):
-    """On no track alone one leads the other, and over both it does."""
+    """On no track alone one leads the other, and over both, which play other episodes here, it does."""
     static, change = comparison.samples["energy", "static"], [[0.4, 0.0, 0.3, -0.05, 0.4, -0.1]]
     twin = static | {"digits": static["digits"] + change}
     policies = {"static": comparison.policies["static"], "twin": replace(comparison.policies["grounded"], name="twin")}
     samples = {
         (track.name, name): each for track in comparison.tracks for name, each in (("static", static), ("twin", twin))
     }
-    made = replace(comparison, policies=policies, samples=samples)
+    drawn = {name: replace(each, track=("mine", name)) for name, each in comparison.episode_sets.items()}
+    made = replace(comparison, policies=policies, samples=samples, episode_sets=drawn)
     for track in comparison.tracks:
         assert made.difference("twin", "static", track.name).low < 0
     assert made.difference("twin", "static", [track.name for track in comparison.tracks]).low > 0
@@ -189,6 +190,12 @@ def test_the_answer_about_several_tracks_is_that_of_the_paired_mean_difference(c
 )
 def test_the_answer_of_few_policies(names, expected):
     assert list(answer(evaluate(names, ["energy"], episodes=2))) == expected
+
+
+def test_equal_policies_are_not_told_apart_by_one_episode():
+    assert answer(evaluate({"a": "static", "b": "static"}, ["random-energy"], episodes=1)) == (
+        "a and b cannot be told apart: they come closest to the Nash equilibrium by the deadline on random-energy.",
+    )
 
 
 def test_policies_that_do_not_lead_each_other_come_closest_together():
