@@ -30,7 +30,7 @@ def test_the_parts_that_sessions_give_arguments_exist():
 
 def test_an_argument_that_a_part_does_not_have_is_a_violation(monkeypatch):
     monkeypatch.setitem(KINDS["game"], "cournot", lambda *_: {"limit": 1.0})
-    assert any("'game:cournot' refuses its arguments ['limit']" in attempt(seed, 1)[1] for seed in range(40))
+    assert any("part 'game:cournot' has no argument 'limit'" in attempt(seed, 1)[1] for seed in range(40))
 
 
 def clip_nan(encoder, actions):

@@ -45,6 +45,13 @@ def price_constraint(game: Game, constraint: _Constraint, limit: npt.ArrayLike =
     Raises:
         ValueError: when shapes disagree, or the function or the costs cannot be differentiated.
     """
+    given: Any = game
+    if not isinstance(given, Game):
+        raise ValueError(
+            f"the players are those of one game, got a {type(given).__name__}; a family of affine games goes into "
+            "CoupledConstraint, and the operator of other games is one more player of their costs, who pays "
+            "-price * g(x)"
+        )
     if callable(constraint) or not game.is_affine:
         return PricedGame(game=game, constraint=constraint, limit=limit)
     n = game.dimension
@@ -82,10 +89,15 @@ class PricedGame(CostGame):
 
     def __post_init__(self) -> None:
         n, shape = self.game.dimension, () if callable(self.constraint) else np.shape(self.constraint)
-        if self.game.batch_size != 1 or not (callable(self.constraint) or shape[1:] == (n,)):
+        if self.game.batch_size != 1:
             raise ValueError(
-                f"the constraint of a single game of {n} components is a function of x or a matrix (m, {n}), got "
-                f"{shape} for {self.game.batch_size} games"
+                f"several games have a price together where they are affine and the constraint is a matrix, got "
+                f"{self.game.batch_size} games; the operator of others is one more player of their costs, who pays "
+                "-price * g(x)"
+            )
+        if not (callable(self.constraint) or shape[1:] == (n,)):
+            raise ValueError(
+                f"the constraint of a game of {n} components is a function of x or a matrix (m, {n}), got {shape}"
             )
         super().__post_init__()
 

@@ -38,8 +38,8 @@ class Interface:
     Attributes:
         units: ``"scaled"`` (scale-free numbers of order one, in ego order) or ``"physical"`` (natural units, player
             order). ``"full"`` stands for ``"physical"`` with information that players lack; it is for oracles only.
-        fields: names of the observed :data:`~ptne_env.perception.fields.FIELDS`, in their order; the default ones of
-            the units if left out.
+        fields: names of the observed :data:`~ptne_env.perception.fields.FIELDS`, which stand in the order of that
+            table; the default ones of the units if left out.
 
     Raises:
         ValueError: for unknown units, or for a field that is unknown or not available in the units.
@@ -50,6 +50,9 @@ class Interface:
 
     def __post_init__(self) -> None:
         require_name("interface", self.units, get_args(InterfaceKind))
+        given: Any = self.fields
+        if isinstance(given, str):
+            raise ValueError(f"fields must be a list of names, such as [{given!r}], got {given!r}")
         names = tuple(self.fields) or [name for name, field in FIELDS.items() if self.units in field.kinds]
         units: tuple[InterfaceKind, ...] = ("scaled",) if self.units == "scaled" else ("physical", "full")
         for name in names:

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, dataclass_transform
 
 import numpy as np
 
-from ptne_env.shared.names import unknown_name
+from ptne_env.shared.names import suggestion, unknown_name
 
 PARTS: Mapping[str, str] = {
     "game:costs": "ptne_env.games:CostGame",
@@ -154,7 +154,8 @@ def resolve(target: str) -> Any:
     except (ImportError, TypeError, SystemExit) as error:  # a relative name is a TypeError
         if alike := names_of(module_name):
             raise ValueError(unknown_name(module_name, attribute, alike)) from error
-        raise ValueError(f"cannot import the module of part {target!r}: {error}") from error
+        where = "modules are looked for in the current folder and on the Python path"
+        raise ValueError(f"cannot import the module of part {target!r}: {error}; {where}") from error
     try:
         return getattr(module, attribute)
     except AttributeError as error:
@@ -163,7 +164,9 @@ def resolve(target: str) -> Any:
                 f"part {target!r} was defined in a program or notebook that is not the one that runs: "
                 "define it in a module, which every program can import"
             ) from error
-        raise ValueError(f"module {module_name!r} has no {attribute!r}; part {target!r} cannot be built") from error
+        public = [name for name in vars(module) if not name.startswith("_")]
+        advice = suggestion(attribute, public)
+        raise ValueError(f"module {module_name!r} has no {attribute!r} for the part {target!r}; {advice}") from error
 
 
 def make(target: str) -> Any:
@@ -407,6 +410,11 @@ class FactorySpec:
             names = sorted(arguments | extra)
             ways = f"'{self.target}(...)' or FactorySpec.of({self.target!r}, ...)"
             advice = f"; name it with arguments, {ways}" * (not names)
+            if isinstance(target, type | FunctionType) and "unexpected keyword" in str(error):
+                taken = signature(target).parameters
+                for name in arguments.keys() - taken:
+                    reason = f"has no argument {name!r}; {suggestion(name, taken)}"
+                    raise ValueError(f"part {self.target!r} {reason}") from error
             raise ValueError(f"part {self.target!r} refuses its arguments {names}: {error}{advice}") from error
 
     def _as_value(self, /, **extra: Any) -> Any:

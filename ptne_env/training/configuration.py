@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from ptne_env.evaluation.provenance import content_hash
+from ptne_env.evaluation.tracks import find_track
 from ptne_env.shared.arrays import require_count, require_positive, require_printable, require_probability
 from ptne_env.shared.files import DamagedFileError, read_file, read_json, write_atomically
 from ptne_env.shared.names import require_name
@@ -87,7 +89,15 @@ class Configuration:
 
 def write_record(path: Path, record: Any) -> None:
     """Write a dataclass, such as the configuration or the summary of a run, as JSON."""
-    write_atomically(path, json.dumps(dataclasses.asdict(record), indent=2) + "\n")
+    write_atomically(path, json.dumps(_describe(record), indent=2) + "\n")
+
+
+def _describe(record: Any) -> dict[str, Any]:
+    """Return a dataclass as a JSON object; that of a run in a world of the user's module has the world, too."""
+    described: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(record)))
+    if ":" in described.get("scenario", ""):
+        described["content of the scenario"] = content_hash(find_track(described["scenario"]).to_dict())
+    return described
 
 
 @dataclass(frozen=True)
@@ -119,7 +129,7 @@ def read_finished_run(configuration: Any, out: Path) -> RunSummary | None:
     if not path.exists():
         return None
     theirs = read_json(path, "the configuration of a training run")
-    mine: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(configuration)))
+    mine = _describe(configuration)
     different = [name for name in sorted(mine.keys() | theirs.keys()) if mine.get(name) != theirs.get(name)]
     if different:
         differences = ", ".join(f"{name} is {theirs.get(name)} there and {mine.get(name)} here" for name in different)

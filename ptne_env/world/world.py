@@ -160,6 +160,13 @@ class World:
         modes = age = None
         if self.topology.is_random:
             schedule = self.topology.draw(self._topology_times, [stream.graph for stream in streams])
+            shape, graphs = (len(self._topology_times), len(streams)), len(self.topology.graphs)
+            wrong = schedule.modes.min(initial=0) < 0 or schedule.modes.max(initial=0) >= graphs
+            if wrong or not schedule.modes.shape == schedule.time_since_switch.shape == shape:
+                raise ValueError(
+                    f"{type(self.topology).__name__}.draw must return modes from 0 to {graphs - 1} and times since the "
+                    f"switch, of shape {shape} (instants, environments), got the modes {schedule.modes!r}"
+                )
             modes, age = schedule.modes.astype(np.int16), schedule.time_since_switch.astype(np.float32)
         keys = [[stream.channel.integers(0, 2**64, dtype=np.uint64) for stream in streams] for _ in range(2)]
         return EpisodeRandomness(modes, age, *np.array(keys, dtype=np.uint64))

@@ -106,6 +106,7 @@ def test_an_interface_has_the_fields_that_its_kind_has_by_default():
     [
         (("natural",), "unknown interface 'natural'; choose from scaled, physical, full"),
         (("scaled", ("clok",)), "unknown field of the observation 'clok'; did you mean 'clock'"),
+        (("scaled", "clock"), r"fields must be a list of names, such as \['clock'\], got 'clock'"),
         (("scaled", ("own_estimate",)), "'scaled' has no field 'own_estimate', which is one of 'physical', 'full'"),
         (("physical", ("log_scale",)), "'physical' has no field 'log_scale', which is one of 'scaled'"),
     ],

@@ -94,6 +94,14 @@ def test_a_finished_run_is_not_repeated_and_another_one_is_refused(run):
     assert times(out) == before
 
 
+def test_a_run_in_a_world_that_has_changed_since_is_another_run(run, monkeypatch):
+    """Its name is the same, and its policy would be that of another world."""
+    short, out, _, _ = run
+    monkeypatch.setitem(globals(), "SCENARIO", SCENARIO.replace(deadline=2.0))
+    with pytest.raises(ValueError, match=r"another run: content of the scenario is \w+ there and \w+ here"):
+        sb3.train(short, out)
+
+
 class InterruptionError(Exception):
     pass
 

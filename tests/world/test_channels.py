@@ -394,7 +394,7 @@ REFUSED = {
     "no scale": ("HeavyTails", {"scale": math.nan}, "scale must be a finite number of at least 0"),
     "start before the start": ("LateNoise", {"std": 1.0, "step": -1}, "step must be a whole number of at least 0"),
     "no range": ("Range", {"limit": 0.0}, "limit must be a finite number above 0"),
-    "unknown argument": ("Loss", {"rate": 0.1}, "refuses its arguments"),
+    "unknown argument": ("Loss", {"rate": 0.1}, "has no argument 'rate'; choose from probability"),
 }
 
 

@@ -180,6 +180,25 @@ def test_every_episode_draws_its_graph_and_keeps_it():
     assert topology.shortest_dwell == topology.mean_dwell == topology.period == np.inf
 
 
+class Counted(EpisodeTopology):
+    """Modes of the user's own, which begin at a number."""
+
+    first: int = 0
+
+    def draw(self, instants, generators):
+        schedule = super().draw(instants, generators)
+        return schedule._replace(modes=np.full_like(schedule.modes, self.first))
+
+
+@pytest.mark.parametrize("first", [-1, 2])
+def test_modes_of_a_topology_of_ones_own_that_name_no_graph_are_refused(first):
+    topology = Counted([graphs.cycle(5), graphs.path(5)], first=first)
+    env = ptne_env.parallel_env("energy", topology=topology)
+    with pytest.raises(ValueError, match=r"Counted.draw must return modes from 0 to 1 and .*, of shape \(\d+, 1\)"):
+        env.reset(seed=0)
+    ptne_env.parallel_env("energy", topology=Counted(topology.graphs, first=1)).reset(seed=0)
+
+
 def test_random_graphs_are_uniform_over_connected_graphs():
     topology = switching.random_graphs(4, 0.5, modes=400, seed=2)
     again, other = (switching.random_graphs(4, 0.5, modes=20, seed=seed) for seed in (2, 3))
