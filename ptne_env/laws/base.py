@@ -16,7 +16,8 @@ from ptne_env.shared.arrays import BoolArray, Float32Array, FloatArray, is_numpy
 class Law(RowPolicy):
     """A policy that is built from a layout, and acts on observations and its own memory alone.
 
-    A subclass implements :meth:`inputs`, and :meth:`initial_memory` if it has memory.
+    A subclass implements :meth:`inputs`, and :meth:`initial_memory` if it has memory: an array with a row per player,
+    or a tuple of such arrays and tuples, perhaps a named one.
 
     Args:
         layout: the layout of the environment's observations, ``env.layout``.
@@ -55,23 +56,18 @@ class Law(RowPolicy):
     def _restart(self, memory: Any, starts: BoolArray) -> Any:
         """Return the memory with a fresh row wherever an episode starts."""
         rows = len(starts)
-        if memory is None or self._row_shape is None:
+        if memory is None or not self.has_memory:
             return self.initial_memory(rows)
-        needed = (rows, *self._row_shape)
-        if np.shape(memory) != needed:
+        if (found := _shape(memory)) != (needed := _shape(self._memory_of_one, rows)):
             raise ValueError(
-                f"the memory has the shape {np.shape(memory)} and these observations need {needed}; pass "
-                "state=None to start afresh"
+                f"the memory has the shape {found} and these observations need {needed}; pass state=None to start "
+                "afresh"
             )
-        if not starts.any():
-            return np.asarray(memory)
-        return self.select_rows(starts, self.initial_memory(rows), np.asarray(memory))
+        return self.select_rows(starts, self.initial_memory(rows), memory) if starts.any() else memory
 
     @cached_property
-    def _row_shape(self) -> tuple[int, ...] | None:
-        """The shape of a player's row of the memory; ``None`` for a law without memory."""
-        memory = self.initial_memory(1)
-        return None if memory is None else memory.shape[1:]
+    def _memory_of_one(self) -> Any:
+        return self.initial_memory(1)
 
     @abstractmethod
     def inputs(self, observation: Observation, memory: Any) -> tuple[FloatArray, Any]:
@@ -92,47 +88,15 @@ class Law(RowPolicy):
     @property
     def has_memory(self) -> bool:
         """Whether the law keeps numbers from step to step."""
-        return self._row_shape is not None
+        return self._memory_of_one is not None
 
 
-class RecordLaw(Law):
-    """A law whose memory is a record of named arrays, which travels as one flat row per player.
-
-    A subclass sets ``start`` in its constructor.
-
-    Attributes:
-        start: the record of one player at the start of an episode: a named tuple of arrays (1, ...) and of such tuples.
-    """
-
-    start: tuple[Any, ...]
-
-    def initial_memory(self, rows: int) -> FloatArray:
-        """Return the record of the start in every row, shape (R, size)."""
-        return np.repeat(self.pack(self.start), rows, axis=0)
-
-    def pack(self, record: tuple[Any, ...]) -> FloatArray:
-        """Return the memory (R, size) that holds a record of R players; a new array."""
-        parts = [np.asarray(part, dtype=np.float64) for part in _arrays(record)]
-        return np.concatenate([part.reshape(len(part), part[:1].size) for part in parts], axis=1)
-
-    def unpack(self, memory: FloatArray) -> Any:
-        """Return the record that a memory holds, the inverse of :meth:`pack`; its arrays are views."""
-        first = 0
-
-        def take(like: Any) -> Any:
-            nonlocal first
-            if isinstance(like, tuple):
-                return like._make(map(take, like))  # type: ignore[attr-defined]  # a record is a named tuple
-            part = memory[:, first : first + like.size].reshape(len(memory), *like.shape[1:])
-            first += like.size
-            return part
-
-        return take(self.start)
-
-
-def _arrays(record: tuple[Any, ...]) -> list[Any]:
-    """Return the arrays of a record in order."""
-    return [array for part in record for array in (_arrays(part) if isinstance(part, tuple) else [part])]
+def _shape(memory: Any, rows: int | None = None) -> Any:
+    """Return the shapes of the arrays of a memory, or those that they have for so many rows."""
+    if isinstance(memory, tuple):
+        return tuple(_shape(part, rows) for part in memory)
+    shape = np.shape(memory)
+    return shape if rows is None else (rows, *shape[1:])
 
 
 def consensus(weights: FloatArray, relative_estimates: FloatArray) -> FloatArray:

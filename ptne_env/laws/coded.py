@@ -100,8 +100,7 @@ class Coded(RowPolicy):
         observation = self.layout.read(rows)
         was, inner = (self._start(len(rows)), None) if memory is None else memory
         if starts.any():
-            fresh = self._start(len(rows))
-            was = CoderMemory(*(self.select_rows(starts, *parts) for parts in zip(fresh, was, strict=True)))
+            was = self.select_rows(starts, self._start(len(rows)), was)
         estimate, gradient = observation.own_estimate, self.layout.select(rows, "own_gradient")
         talks, opens, rounds = np.isinf(was.alone), was.steps % 2 == 0, was.steps // 2
         content, arrives = estimate[:, None] + observation.relative_estimates, observation.weights > 0

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ptne_env.laws.base import RecordLaw, consensus, per_step
+from ptne_env.laws.base import Law, consensus, per_step
 from ptne_env.laws.grounded import grounded_inputs
 from ptne_env.laws.identification import Curvature, clip_to_reach, see_curvature
 from ptne_env.perception.observation import Observation, ObservationLayout
@@ -16,7 +16,7 @@ _TINY = float(np.finfo(np.float64).tiny)
 """What stands for 0 in divisors."""
 
 
-class FixedTime(RecordLaw):
+class FixedTime(Law):
     """The grounded law with signed powers of gradients and differences, in effective time.
 
     u^i_i = −s(∂J_i/∂x_i(x^i)) and u^i_j = −κ s(ξ^i_j) for j ≠ i, with :func:`~ptne_env.laws.grounded.grounded_error`
@@ -51,15 +51,18 @@ class FixedTime(RecordLaw):
         self.power = require_positive("power", power)
         if power > 1:
             raise ValueError(f"power must be at most 1, or inputs grow without bound near rest, got {power}")
-        self.start = Curvature(np.zeros((1, 1)), *np.zeros((2, 1, layout.dimension)))
 
-    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        was, player = self.unpack(memory), observation.player
+    def initial_memory(self, rows: int) -> Curvature:
+        return Curvature(np.zeros((rows, 1)), *np.zeros((2, rows, self.layout.dimension)))
+
+    def inputs(self, observation: Observation, memory: Curvature) -> tuple[FloatArray, Curvature]:
+        player = observation.player
         own, leaders = self.layout.own_mask[player], self.layout.neighbour_components[player]
         pull: FloatArray = grounded_inputs(observation, own, leaders, kappa=1.0)
         size = np.maximum(np.abs(pull) * observation.unit, _TINY)
         gains = np.where(own, 1.0, self.kappa) * (size**-self.power + size**self.power)
-        seen, degrees = see_curvature(was, observation, own), consensus(observation.weights, leaders + np.float64(1.0))
+        seen = see_curvature(memory, observation, own)
+        degrees = consensus(observation.weights, leaders + np.float64(1.0))
         stiffness = np.where(own, np.maximum(1 / self.step, seen.largest), np.maximum(degrees, _TINY))
         moves = clip_to_reach(pull * np.minimum(observation.theta * gains, 1 / stiffness), observation, self.layout)
-        return per_step(moves, observation), self.pack(seen._replace(moves=moves * observation.unit))
+        return per_step(moves, observation), seen._replace(moves=moves * observation.unit)

@@ -53,11 +53,11 @@ class Model(NamedTuple):
     started: FloatArray  # whether there was a step before, shape (R, 1)
 
 
-def initial_model(layout: ObservationLayout) -> Model:
-    """Return the model of one player before the first step: it knows nothing."""
-    n, m, none = layout.dimension, max(layout.action_dims), np.zeros((1, 1))
-    rows, covariance = np.zeros((1, m, n)), np.zeros((1, n, n))
-    return Model(rows, covariance, none, np.zeros((1, n)), np.zeros((1, m)), none, none)
+def initial_model(layout: ObservationLayout, rows: int) -> Model:
+    """Return the models of R players before the first step: they know nothing."""
+    n, m, none = layout.dimension, max(layout.action_dims), np.zeros((rows, 1))
+    jacobians, covariance = np.zeros((rows, m, n)), np.zeros((rows, n, n))
+    return Model(jacobians, covariance, none, np.zeros((rows, n)), np.zeros((rows, m)), none, none)
 
 
 def identify(

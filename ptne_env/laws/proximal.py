@@ -6,13 +6,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from ptne_env.laws.base import RecordLaw, consensus, per_step
+from ptne_env.laws.base import Law, consensus, per_step
 from ptne_env.laws.identification import Model, identify, initial_model, own_curvatures, own_entries, shorten, with_own
 from ptne_env.perception.observation import Observation, ObservationLayout
 from ptne_env.shared.arrays import FloatArray, require_positive
 
 
-class ProximalBestResponse(RecordLaw):
+class ProximalBestResponse(Law):
     """A law that takes proximal best responses to the estimates, and averages the estimates with the neighbours'.
 
     x^i_j ← ½ (x^i_j + x̂^i_j) and x^i_i ← argmin_y J_i(y, new x^i_{-i}) + (‖y − x^i_i‖² + ‖y − x̂^i_i‖²)/(2α), with
@@ -45,13 +45,15 @@ class ProximalBestResponse(RecordLaw):
         super().__init__(layout)
         self.step, self.mixing = require_positive("step", step), require_positive("mixing", mixing)
         self.spread = require_positive("spread", spread)
-        self.start = initial_model(layout)
 
-    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        was, blocks = self.unpack(memory), self.layout.own_components[observation.player]
+    def initial_memory(self, rows: int) -> Model:
+        return initial_model(self.layout, rows)
+
+    def inputs(self, observation: Observation, memory: Model) -> tuple[FloatArray, Model]:
+        blocks = self.layout.own_components[observation.player]
         is_own, gradient = self.layout.own_mask[observation.player], own_entries(observation.gradient, blocks)
-        widest, unlimited = np.full_like(was.radius, self.spread), np.full_like(was.radius, np.inf)
-        model: Model = identify(was, observation.own_estimate, gradient, widest, unlimited, is_own)
+        widest, unlimited = np.full_like(memory.radius, self.spread), np.full_like(memory.radius, np.inf)
+        model = identify(memory, observation.own_estimate, gradient, widest, unlimited, is_own)
 
         pull = self.mixing * consensus(observation.weights, observation.relative_estimates)
         drift = np.where(is_own, 0.0, pull / 2)
@@ -60,4 +62,4 @@ class ProximalBestResponse(RecordLaw):
         along = np.einsum("rba,rb->ra", vectors, wanted) / (2 + self.step * (np.maximum(curvature, 0.0) + doubt))
         step = np.einsum("rab,rb->ra", vectors, along)
         displacement = with_own(drift, shorten(step, model.radius), blocks)
-        return per_step(displacement, observation), self.pack(model)
+        return per_step(displacement, observation), model

@@ -6,7 +6,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ptne_env.laws.base import RecordLaw, per_step
+from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.identification import (
     Model,
     clip_to_reach,
@@ -105,7 +105,7 @@ class RelayMemory(NamedTuple):
     outlier: FloatArray  # the sign of the last difference if it was an outlier, and else 0, shape (R, n)
 
 
-class Relay(RecordLaw):
+class Relay(Law):
     """A law that copies estimates hop by hop, and takes best responses by an identified model of the own gradient.
 
     In every step a player does the following.
@@ -166,17 +166,19 @@ class Relay(RecordLaw):
         super().__init__(layout)
         self.patience = require_count("patience", patience, 1)
         self.forgetting = require_positive("forgetting", forgetting)
-        none, own = np.zeros((1, 1)), np.zeros((1, layout.dimension))
-        messages, response = np.zeros((1, layout.slots, layout.dimension)), np.zeros((1, max(layout.action_dims)))
+
+    def initial_memory(self, rows: int) -> RelayMemory:
+        layout, none, own = self.layout, np.zeros((rows, 1)), np.zeros((rows, self.layout.dimension))
+        messages, response = np.zeros((rows, layout.slots, layout.dimension)), np.zeros((rows, max(layout.action_dims)))
         noise = Noise(messages, messages, messages[:, :, 0], none, none, none, none, none)
-        contacts, model = initial_contacts(layout), initial_model(layout)
+        contacts, model = initial_contacts(layout, rows), initial_model(layout, rows)
         delay = none + _SHORTEST
-        self.start = RelayMemory(
+        return RelayMemory(
             none, contacts, noise, model, own, none + 1, response, delay, delay, own, none, none, own, own
         )
 
-    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        layout, was, player = self.layout, self.unpack(memory), observation.player
+    def inputs(self, observation: Observation, memory: RelayMemory) -> tuple[FloatArray, RelayMemory]:
+        layout, was, player = self.layout, memory, observation.player
         is_own, owners = layout.own_mask[player], layout.neighbour_components[player]
         blocks, estimate = layout.own_components[player], observation.own_estimate
         reach = layout.action_bound * observation.theta
@@ -219,7 +221,7 @@ class Relay(RecordLaw):
         is_whole = (own_entries(asked, blocks) == wanted).all(axis=1, keepdims=True)
         share, direction = _adapt(was, wanted, is_whole, delay)
         known = was.steps + 1, contacts, noise, model, asked, share, direction, unheard, delay, trail, behind, passed
-        return per_step(displacement, observation), self.pack(RelayMemory(*known, median, outlier))
+        return per_step(displacement, observation), RelayMemory(*known, median, outlier)
 
     def _weigh(self, noise: Noise, mean: FloatArray, steps: FloatArray) -> tuple[Noise, FloatArray]:
         """Return the noise after the differences (R, n) to the sources, and the weight w of copies, shape (R, 1)."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ptne_env.laws.base import RecordLaw, per_step
+from ptne_env.laws.base import Law, per_step
 from ptne_env.laws.identification import Curvature, clip_to_reach, see_curvature
 from ptne_env.laws.sources import Contacts, find_sources, initial_contacts, mean_difference
 from ptne_env.perception.observation import Observation, ObservationLayout
@@ -22,7 +22,7 @@ class RoutedMemory(NamedTuple):
     curvature: Curvature  # of the own costs
 
 
-class RoutedUnknown(RecordLaw):
+class RoutedUnknown(Law):
     """A law that copies estimates from the neighbours that have them first, and takes gradient steps.
 
     x^i_c ← mean of x^j_c over the live sources j of c, if there are any, and x^i_i ← x^i_i − η ∂J_i/∂x_i(x^i). A player
@@ -44,12 +44,15 @@ class RoutedUnknown(RecordLaw):
 
     def __init__(self, layout: ObservationLayout, step: float = 0.3) -> None:
         super().__init__(layout)
-        components, none = np.zeros((1, layout.dimension)), np.zeros((1, 1))
-        self.start = RoutedMemory(initial_contacts(layout), components, none, Curvature(none, components, components))
         self.step = require_positive("step", step)
 
-    def inputs(self, observation: Observation, memory: FloatArray) -> tuple[FloatArray, FloatArray]:
-        was, player = self.unpack(memory), observation.player
+    def initial_memory(self, rows: int) -> RoutedMemory:
+        components, none = np.zeros((rows, self.layout.dimension)), np.zeros((rows, 1))
+        contacts = initial_contacts(self.layout, rows)
+        return RoutedMemory(contacts, components, none, Curvature(none, components, components))
+
+    def inputs(self, observation: Observation, memory: RoutedMemory) -> tuple[FloatArray, RoutedMemory]:
+        was, player = memory, observation.player
         leaders, is_own = self.layout.neighbour_components[player], self.layout.own_mask[player]
         sources, contacts = find_sources(observation, was.contacts, was.steps > 0, was.drift, leaders)
         drift = mean_difference(observation, sources & ~is_own[:, None])
@@ -57,5 +60,4 @@ class RoutedUnknown(RecordLaw):
         own = observation.gradient / np.maximum(1 / self.step, seen.largest)
         asked = clip_to_reach(drift, observation, self.layout)
         seen = seen._replace(moves=(drift - own) * observation.unit)
-        fresh = RoutedMemory(contacts, asked, was.steps + 1, seen)
-        return per_step(drift - own, observation), self.pack(fresh)
+        return per_step(drift - own, observation), RoutedMemory(contacts, asked, was.steps + 1, seen)

@@ -26,10 +26,10 @@ class Contacts(NamedTuple):
     news: FloatArray  # whether there is news of a component, shape (R, n)
 
 
-def initial_contacts(layout: ObservationLayout) -> Contacts:
-    """Return the contacts of one player at the start of an episode."""
-    links, slots = np.zeros((1, layout.slots)), np.zeros((1, layout.slots, layout.dimension))
-    none = np.zeros((1, layout.dimension))
+def initial_contacts(layout: ObservationLayout, rows: int) -> Contacts:
+    """Return the contacts of R players at the start of an episode."""
+    links, slots = np.zeros((rows, layout.slots)), np.zeros((rows, layout.slots, layout.dimension))
+    none = np.zeros((rows, layout.dimension))
     return Contacts(links, links, slots, slots + np.inf, slots, slots, slots, none)
 
 

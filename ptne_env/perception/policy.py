@@ -116,9 +116,13 @@ class RowPolicy(ABC):
     def select_rows(self, mask: BoolArray, fresh: Any, old: Any) -> Any:
         """Return the memory with the players of ``fresh`` in a mask, shape (R,), and those of ``old`` elsewhere.
 
-        Memory is an array with a row per player, or ``None``; a subclass with other memory has its own method.
+        Memory is an array with a row per player, a tuple of memories, or ``None``; a subclass with other memory has its
+        own method.
         """
-        return None if old is None else np.where(mask.reshape(-1, *(1,) * (old.ndim - 1)), fresh, old)
+        if isinstance(old, tuple):
+            parts = [self.select_rows(mask, *pair) for pair in zip(fresh, old, strict=True)]
+            return old._make(parts) if hasattr(old, "_make") else tuple(parts)
+        return None if old is None else np.where(mask.reshape(-1, *(1,) * (np.ndim(old) - 1)), fresh, old)
 
     @abstractmethod
     def decide(self, rows: Float32Array, memory: Any, starts: BoolArray, *, deterministic: bool) -> tuple[Any, Any]:

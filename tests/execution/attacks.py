@@ -23,23 +23,16 @@ OWN = 1e6  # times that the own equations count as heard
 
 
 class Attack(Law):
-    """A law around relay. Its memory: the number of steps, parts of some shapes, that of relay."""
+    """A law around relay. Its memory: the number of steps, arrays of some shapes, that of relay."""
 
     def __init__(self, layout, *shapes):
         super().__init__(layout)
         self.inner, self.shapes = Relay(layout), ((1,), *shapes)
-        self.ends = np.cumsum([np.prod(shape, dtype=int) for shape in self.shapes])
         reach = layout.action_bound * layout.largest_clock[2] / 2  # so that inputs can ask for every move
         self.most = FILL * min(layout.message_range, reach)
 
     def initial_memory(self, rows):
-        return np.concatenate([np.zeros((rows, self.ends[-1])), self.inner.initial_memory(rows)], axis=1)
-
-    def split(self, memory):
-        """The parts of the memory, the first in (R, *shape), the last (R, size) as it is."""
-        *parts, inner = np.split(memory, self.ends, axis=1)
-        pairs = zip(parts, self.shapes, strict=True)
-        return [*(part.reshape(len(memory), *shape).copy() for part, shape in pairs), inner]
+        return (*(np.zeros((rows, *shape)) for shape in self.shapes), self.inner.initial_memory(rows))
 
     def moved(self, observation, memory):
         """The displacement (R, n) that relay wants, and its memory."""
@@ -47,9 +40,8 @@ class Attack(Law):
         return inputs * observation.theta, after
 
     def answer(self, moved, observation, *parts):
-        """Inputs and memory from displacements (R, n) and the parts that :meth:`split` gives."""
-        memory = np.concatenate([part.reshape(len(moved), -1) for part in parts], axis=1)
-        return per_step(moved, observation), memory
+        """Inputs and memory from displacements (R, n) and the parts of the memory."""
+        return per_step(moved, observation), parts
 
     def is_last(self, observation):
         """Whether this is the last step, shape (R, 1)."""
@@ -69,7 +61,7 @@ class Loud(Attack):
         self.gain, self.wait = gain, wait
 
     def inputs(self, observation, memory):
-        step, start, offset, before = self.split(memory)
+        step, start, offset, before = memory
         estimate, gain, waits = observation.own_estimate, self.gain, step <= self.wait
         start = np.where(step == 0, estimate, start)
         offset = np.where(step == 1, observation.gradient, offset)
@@ -78,7 +70,8 @@ class Loud(Attack):
         moved, after = self.moved(seen, before)
         target = np.where(self.is_last(observation), 1.0, gain) * (seen.own_estimate + moved)
         target = np.where(step == 0, 0.0, np.where(waits, gain * start, target))
-        return self.answer(target - estimate, observation, step + 1, start, offset, np.where(waits, before, after))
+        after = self.select_rows(waits[:, 0], before, after)
+        return self.answer(target - estimate, observation, step + 1, start, offset, after)
 
 
 class Equations(Attack):
@@ -100,12 +93,13 @@ class Equations(Attack):
         self.checks = np.stack([np.cos(angles), np.sin(angles)], axis=1) / 2
 
     def inputs(self, observation, memory):
-        step, points, codes, equations, heard, before = self.split(memory)
+        step, points, codes, equations, heard, before = memory
         n, number, estimate = self.layout.dimension, int(step[0, 0]) - self.entries, observation.own_estimate
-        own, follows, after = self.layout.own_mask[observation.player], np.zeros((len(memory), 1), dtype=bool), before
+        own, follows, after = self.layout.own_mask[observation.player], np.zeros((len(step), 1), dtype=bool), before
         if number < 0:
             places = np.minimum(self.layout.own_components[observation.player], n - 1)
             gradients = np.take_along_axis(observation.gradient, places, axis=1)
+            points = points.copy()
             points[:, number] = np.concatenate([estimate, gradients], axis=1)
             scale = np.maximum(np.abs(estimate).max(axis=1, keepdims=True), 1.0) / 2
             turns = (np.arange(n) == number + self.entries) | ((number >= -3) & (np.arange(n) % 2 == number % 2))
@@ -116,6 +110,7 @@ class Equations(Attack):
                 equations, heard = self._fitted(observation.player, points), OWN * own
             else:
                 content = np.where(observation.weights[:, :, None] > 0, estimate[:, None], 0.0)
+                codes = codes.copy()
                 codes[..., place - 1] = (content + observation.relative_estimates) / self.size
                 if place == 0:
                     equations, heard = self._learned(codes, equations, heard)
@@ -127,7 +122,7 @@ class Equations(Attack):
             moved, follows = target - estimate, (heard == 0).any(axis=1, keepdims=True)
         if follows.any():
             relayed, after = self.moved(observation, before)
-            moved, after = np.where(follows, relayed, moved), np.where(follows, after, before)
+            moved, after = np.where(follows, relayed, moved), self.select_rows(follows[:, 0], after, before)
         return self.answer(moved, observation, step + 1, points, codes, equations, heard, after)
 
     def _checked(self, equations):

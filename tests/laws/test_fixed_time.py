@@ -87,7 +87,7 @@ def test_steps_shorten_to_the_curvature_that_was_seen(input_limit):
     for estimates in run(world, encoder, law, start, steps=1):
         state = dynamics.initial_state(world, estimates)
         _, memory = law.predict(encoder.observe(state)[0], state=memory)
-    assert law.unpack(memory).largest == pytest.approx(100.0, rel=1e-3)
+    assert memory.largest == pytest.approx(100.0, rel=1e-3)
     states = run(world, encoder, law, start)[..., 0]
     assert np.abs(states[-1] - world.game.nash_equilibrium[:, None]).max() < 1e-4
 

@@ -18,7 +18,7 @@ def response(rows, gradient, drift, radius=1e6, covariance=0.0, held=False, shar
     """Displacement of a player whose m own components come first, and who knows its rows."""
     rows = np.asarray(rows, dtype=float)[None]
     m, n = rows.shape[1:]
-    model = initial_model(world_and_encoder("energy")[1].layout)._replace(
+    model = initial_model(world_and_encoder("energy")[1].layout, 1)._replace(
         rows=rows,
         covariance=covariance * np.eye(n)[None],
         gradient=np.array(gradient, dtype=float)[None],
@@ -71,7 +71,7 @@ def test_a_damped_response_expects_copies_to_go_on():
 
 def adapt(responses, delay=2.0, is_whole=True, share=1.0):
     """Shares of the damping after each of some responses of one player."""
-    memory = laws.Relay(world_and_encoder("energy")[1].layout).start._replace(share=np.full((1, 1), share))
+    memory = laws.Relay(world_and_encoder("energy")[1].layout).initial_memory(1)._replace(share=np.full((1, 1), share))
     shares = []
     for response in responses:
         whole, delays = np.full((1, 1), is_whole), np.full((1, 1), delay)
@@ -167,8 +167,8 @@ def test_the_delay_is_the_distance_of_the_farthest_player_on_a_fixed_graph():
         actions, memory = law.predict(rows, memory)
         state = dynamics.step(world, state, encoder.decode(actions[None], state))
         if step == 3:  # the number of steps before, as there is no older news of all players yet
-            assert law.unpack(memory).delay.ravel().tolist() == [3] * 6
-    assert law.unpack(memory).delay.ravel() == pytest.approx([5, 4, 3, 3, 4, 5], abs=1e-3)
+            assert memory.delay.ravel().tolist() == [3] * 6
+    assert memory.delay.ravel() == pytest.approx([5, 4, 3, 3, 4, 5], abs=1e-3)
 
 
 def test_damping_that_no_rotation_needs_falls():
