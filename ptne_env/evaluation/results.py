@@ -8,7 +8,7 @@ import json
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -43,12 +43,6 @@ SHOWN = ("digits", "digits_on_the_way", "digits_cvar")
 
 Samples: TypeAlias = dict[str, FloatArray]
 """Per metric, shape (training seeds, episodes), NaN where an episode has no value; a timing is repeated."""
-
-_LATEX = str.maketrans({
-    **{sign: rf"\{sign}" for sign in "&%$#_{}"}, **{sign: f"{{{sign}}}" for sign in "[]*"}, "\\": r"\textbackslash{}",
-    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "−": "$-$", "–": "--", "∞": r"$\infty$", "‡": r"$\ddagger$",
-})  # fmt: skip
-"""Signs that mean something else to LaTeX, or nothing."""
 
 Place: TypeAlias = tuple[str, str]
 """The names of a track and of a policy."""
@@ -294,22 +288,6 @@ class Results:
         """Return the records as a ``pandas.DataFrame``; ``ImportError`` that names the extra if pandas is missing."""
         return data_frame(self.records)
 
-    def to_latex(self, metric: str = "digits") -> str:
-        """Return a ``tabular`` of LaTeX: a row per track, a column per policy, and a metric with its 95 % interval.
-
-        Errors are those of :meth:`values`.
-        """
-        heading = METRICS[require_name("metric", metric, METRICS)].label
-        rows = [[heading, *(policy.label for policy in self.policies.values())]]
-        for track in self.episodes:
-            places = [(track, name) for name in self.policies]
-            cells = [self.reasons.get(place) or _with_interval(self.summary(*place, metric)) for place in places]
-            rows.append([track, *(cell.partition(":")[0] for cell in cells)])
-        first, *others = (" & ".join(cell.translate(_LATEX) for cell in row) + r" \\" for row in rows)
-        columns = "l" + "r" * len(self.policies)
-        ends = [rf"\begin{{tabular}}{{{columns}}}", r"\hline", first, r"\hline"], [r"\hline", r"\end{tabular}", ""]
-        return "\n".join([*ends[0], *others, *ends[1]])
-
     def plot(self, metric: str = "digits", axes: Any = None) -> Any:
         """Draw a metric with its 95 % interval, a row per track and a mark per policy.
 
@@ -366,7 +344,7 @@ class Results:
             labels = {name: self.policies[name].label for name in digits}
             width = max(map(len, labels.values()), default=0)
             for name, label in labels.items():
-                cells = [_with_interval(self.summary(track.name, name, metric), "{:z.2f}".format) for metric in SHOWN]
+                cells = [_with_interval(self.summary(track.name, name, metric)) for metric in SHOWN]
                 lines.append(f"  {label:<{width}}  {', '.join(cells)}")
             lines += [f"  {name} {why}" for (place, name), why in self.reasons.items() if place == track.name]
         return "\n".join(lines)
@@ -397,14 +375,14 @@ def read_results(path: str | Path, *, trust: bool = False) -> Results:
     return Results.from_dict(data)
 
 
-def _with_interval(summary: Summary | None, write: Callable[[float], str] = number) -> str:
-    """Format a mean with its interval, where the two differ."""
+def _with_interval(summary: Summary | None) -> str:
+    """Format a mean of digits with its interval, where the two differ."""
     if summary is None or summary.mean is None:
         return number(None)
-    mean = write(summary.mean)
+    mean = f"{summary.mean:z.2f}"
     if summary.low is None or summary.high is None:
         return f"{mean} (no interval)"
-    low, high = write(summary.low), write(summary.high)
+    low, high = f"{summary.low:z.2f}", f"{summary.high:z.2f}"
     return mean if low == high else f"{mean} [{low}, {high}]"
 
 

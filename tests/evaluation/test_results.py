@@ -16,7 +16,6 @@ from small_suite import BASE
 import ptne_env
 from ptne_env import PolicySpec, evaluate, laws
 from ptne_env.evaluation import METRICS, Metric, Results, register
-from ptne_env.evaluation.metrics import number
 from ptne_env.evaluation.results import read_results, standing
 from ptne_env.evaluation.statistics import Summary
 
@@ -222,20 +221,6 @@ def test_numbers_beside_the_sealed_ones_do_not_replace_them(results):
 def test_data_of_another_form_are_no_results(results, change):
     with pytest.raises(ValueError, match="not results"):
         Results.from_dict(json.loads(results.to_json()) | change)
-
-
-def test_a_latex_table_has_every_track_and_policy_and_escapes_names():
-    mine = PolicySpec("50%_[mine]", laws.Static)
-    shown = evaluate([mine, "ppo"], ["energy", "robots"], episodes=2)
-    first, second = (number(shown.record(track, mine.name, "digits")["mean"]) for track in ("energy", "robots"))
-    lines = shown.to_latex().splitlines()
-    assert lines[0] == r"\begin{tabular}{lrr}"
-    assert lines[2] == r"digits & 50\%\_{[}mine{]} & ppo \\"
-    assert lines[4].startswith(f"energy & {first} {{[}}")
-    assert lines[5].startswith(f"robots & {second} {{[}}")
-    assert lines[5].endswith(r" & n/a \\")
-    with pytest.raises(ValueError, match="unknown metric 'digit'; did you mean 'digits'"):
-        shown.to_latex("digit")
 
 
 def test_a_figure_has_a_mark_with_its_interval_per_track_and_policy(results):
