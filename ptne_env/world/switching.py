@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias, get_args
+from typing import ClassVar, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -238,36 +238,6 @@ class EpisodeTopology(SwitchingTopology):
 def fixed(graph: Graph) -> SwitchingTopology:
     """Return the topology that never switches."""
     return SwitchingTopology([graph])
-
-
-def from_function(
-    signal: Callable[[float], Any], end: float, clock: TopologyClock = "physical", samples: int = 1000
-) -> SwitchingTopology:
-    """Return the topology whose graph at a time is ``signal(time)`` until ``end``, and then the same over and over.
-
-    The signal is piecewise constant, and returns a :class:`Graph` or what makes one. It is called here alone, at
-    ``samples`` times from 0 to ``end`` and near switches, which are found to 1e-12 of ``end``; of several switches
-    between two of these times, only one is found. The topology holds graphs and dwells, so it can be stored and sent.
-
-    Raises:
-        ValueError: when a number is out of range, a graph is none, or the signal changes without a pause.
-    """
-    grid = np.linspace(0.0, require_positive("end", end), require_count("samples", samples, 2), endpoint=False)
-    graphs, switches, before = [as_graph(signal(0.0))], [0.0], 0.0
-    for time in grid.tolist():
-        after = time
-        if as_graph(signal(time)) != graphs[-1]:
-            while after - before > 1e-12 * end:
-                middle = (before + after) / 2
-                before, after = (middle, after) if as_graph(signal(middle)) == graphs[-1] else (before, middle)
-            if after - switches[-1] < 1e-9 * end:
-                raise ValueError(
-                    f"the signal is not piecewise constant at {after:.4g}: sample it by lambda t: signal(round(t, 2))"
-                )
-            graphs.append(as_graph(signal(after)))
-            switches.append(after)
-        before = after
-    return SwitchingTopology(graphs, np.diff([*switches, end]).tolist() if len(graphs) > 1 else (), clock)
 
 
 def random_edges(

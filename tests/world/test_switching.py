@@ -1,13 +1,9 @@
-import pickle
-
-import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-import ptne_env
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import graphs, switching
 from ptne_env.world.graphs import Graph
@@ -253,33 +249,3 @@ def test_invalid_random_topologies_are_refused(arguments, message):
     defaults = {"graphs": [graphs.path(3)] * 2, "dwells": 1.0}
     with pytest.raises(ValueError, match=message):
         RandomTopology(**(defaults | arguments))
-
-
-def test_a_function_of_time_becomes_graphs_and_dwells_which_can_be_sent():
-    def signal(time):
-        return graphs.cycle(5) if time < 0.3 else nx.path_graph(5) if time < 0.75 else graphs.cycle(5).adjacency
-
-    topology = switching.from_function(signal, end=1.2)
-    assert topology.graphs == (graphs.cycle(5), graphs.path(5), graphs.cycle(5))
-    assert topology.dwells == pytest.approx((0.3, 0.45, 0.45), abs=1e-11)
-    modes = topology.schedule([0.0, 0.299, 0.3, 0.75, 1.199, 1.2]).modes
-    assert modes.tolist() == [0, 0, 1, 2, 2, 0]
-    scenario = ptne_env.get_scenario("energy", topology=topology)
-    assert pickle.loads(pickle.dumps(scenario)) == ptne_env.Scenario.from_dict(scenario.to_dict()) == scenario  # noqa: S301 - ours
-
-
-def test_a_function_that_never_changes_is_a_fixed_graph():
-    assert switching.from_function(lambda _: graphs.star(4), end=2.0, clock="transformed").is_fixed
-    with pytest.raises(ValueError, match="end must be a finite number above 0"):
-        switching.from_function(lambda _: graphs.star(4), end=0.0)
-
-
-def test_a_function_that_always_changes_is_sampled_by_the_user():
-    def signal(time):
-        return (1 + time) * graphs.star(4).adjacency
-
-    with pytest.raises(
-        ValueError, match=r"not piecewise constant at .*: sample it by lambda t: signal\(round\(t, 2\)\)"
-    ):
-        switching.from_function(signal, end=1.2)
-    assert len(switching.from_function(lambda t: signal(round(t, 1)), end=1.2).graphs) == 13
