@@ -1,4 +1,4 @@
-"""The runner, which runs jobs on workers, and the store of finished jobs, from which an interrupted run goes on."""
+"""The runner, which runs jobs on workers, and stores finished jobs, from which an interrupted run goes on."""
 
 from __future__ import annotations
 
@@ -46,47 +46,6 @@ def key_of(job: Job) -> str | None:
     return None if is_own else content_hash(content)
 
 
-@dataclass(frozen=True)
-class Store:
-    """A folder of results of jobs, which is made when the first one is stored: one file each, named by the job's key.
-
-    Several runs may share a folder, because files are written atomically and two runs of the same job write the same
-    numbers. A checksum covers the whole file. Jobs without a key and failed jobs are not stored.
-    """
-
-    folder: Path
-
-    def path(self, key: str) -> Path:
-        """Return the file of the job with this key."""
-        return self.folder / "jobs" / f"{key}.json"
-
-    def find(self, key: str | None) -> JobResult | None:
-        """Return the stored result of the job with a key, or ``None`` where there is none or its file is damaged."""
-        if key is None:
-            return None
-        try:
-            content = read_json(self.path(key), "the result of a job")
-            if content.pop("checksum", None) != content_hash(content) or content["key"] != key:
-                return None
-            reason, lists = content["not_applicable"], content["samples"]
-            samples = {name: np.array(lists[name], dtype=np.float64) for name in METRICS if name in lists}
-        except (FileNotFoundError, DamagedFileError, KeyError, TypeError, ValueError):
-            return None
-        return JobResult(samples, reason)
-
-    def save(self, key: str | None, job: Job, result: JobResult) -> None:
-        """Store the result of a job with a key."""
-        if key is None or result.failure is not None:
-            return
-        samples = {name: to_json_list(values) for name, values in result.samples.items()}
-        content = {"key": key, "job": content_of(job), "samples": samples, "not_applicable": result.not_applicable}
-        text = json.dumps(content | {"checksum": content_hash(content)}, allow_nan=False, ensure_ascii=False)
-        path = self.path(key)
-        if path.exists() and not path.is_file():  # a pipe, which is no file of a job, and may never be read
-            path.unlink()
-        write_atomically(path, text)
-
-
 @dataclass
 class Runner:
     """A runner of jobs, such as ``evaluate(..., run=Runner(folder, Workers(4)))``.
@@ -95,8 +54,9 @@ class Runner:
     need the same library and the same files of policies and parts.
 
     Attributes:
-        folder: the folder that stores the results of finished jobs, so that they are not run again; nothing is stored
-            if ``None``.
+        folder: the folder that stores the results of finished jobs, so that they are not run again: one file each,
+            named by the job's key. Several runs may share it, because files are written atomically and two runs of the
+            same job write the same numbers. Nothing is stored if ``None``.
         workers: the workers that run the jobs. Only the measured times of policies depend on them.
         progress: called when a job is done, with ``"track: policy"``, the work that is done and the work of all jobs,
             both in units of :func:`cost_of`.
@@ -119,7 +79,6 @@ class Runner:
             ValueError, ImportError, ConnectionError, ChildProcessError: as
                 :meth:`~ptne_env.execution.workers.Workers.run`.
         """
-        store = None if self.folder is None else Store(Path(self.folder))
         results: dict[int, JobResult] = {}
         total, done = sum(map(cost_of, jobs)), 0
 
@@ -132,20 +91,48 @@ class Runner:
 
         missing, keys = [], [key_of(job) for job in jobs]
         for index, key in enumerate(keys):
-            stored = None if store is None else store.find(key)
-            if stored is None:
+            if (stored := self.find(key)) is None:
                 missing.append(index)
             else:
                 finish(index, stored)
-        if store is not None and missing:
-            require_writable(store.path("0"))
+        if self.folder is not None and missing:
+            require_writable(self.path("0"))
         missing.sort(key=lambda index: -cost_of(jobs[index]))  # long jobs first, so that no core waits for the last one
         tasks = [(jobs[index], keys[index], METRICS) for index in missing]
         for place, result in self.workers.run(_run_job, tasks):
-            if store is not None:
-                store.save(keys[missing[place]], jobs[missing[place]], result)
+            self.save(keys[missing[place]], jobs[missing[place]], result)
             finish(missing[place], result)
         return [results[index] for index in range(len(jobs))]
+
+    def path(self, key: str) -> Path:
+        """Return the file of the job with this key."""
+        return Path(self.folder or "") / "jobs" / f"{key}.json"
+
+    def find(self, key: str | None) -> JobResult | None:
+        """Return the stored result of the job with a key, or ``None`` where there is none or its file is damaged."""
+        if self.folder is None or key is None:
+            return None
+        try:
+            content = read_json(self.path(key), "the result of a job")
+            if content.pop("checksum", None) != content_hash(content) or content["key"] != key:
+                return None
+            reason, lists = content["not_applicable"], content["samples"]
+            samples = {name: np.array(lists[name], dtype=np.float64) for name in METRICS if name in lists}
+        except (FileNotFoundError, DamagedFileError, KeyError, TypeError, ValueError):
+            return None
+        return JobResult(samples, reason)
+
+    def save(self, key: str | None, job: Job, result: JobResult) -> None:
+        """Store the result of a job with a key, unless it failed."""
+        if self.folder is None or key is None or result.failure is not None:
+            return
+        samples = {name: to_json_list(values) for name, values in result.samples.items()}
+        content = {"key": key, "job": content_of(job), "samples": samples, "not_applicable": result.not_applicable}
+        text = json.dumps(content | {"checksum": content_hash(content)}, allow_nan=False, ensure_ascii=False)
+        path = self.path(key)
+        if path.exists() and not path.is_file():  # a pipe, which is no file of a job, and may never be read
+            path.unlink()
+        write_atomically(path, text)
 
 
 def cost_of(job: Job) -> int:

@@ -1,4 +1,4 @@
-"""The store and the runner: jobs are stored atomically, not run again, and damaged files are noticed."""
+"""The runner and what it stores: jobs are stored atomically, not run again, and damaged files are noticed."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from ptne_env.evaluation import METRICS, EpisodeSet, Metric, Track, get_policy_s
 from ptne_env.evaluation.comparison import Job, JobResult
 from ptne_env.evaluation.provenance import content_hash
 from ptne_env.execution import Runner
-from ptne_env.execution.runner import Store, key_of
+from ptne_env.execution.runner import key_of
 from ptne_env.suites import run_suite
 
 JOB = Job(Track("ring", BASE, "The base."), get_policy_spec("static"), 0, EpisodeSet(4))
@@ -31,7 +31,7 @@ def test_nothing_is_stored_without_a_folder_of_a_failed_job_or_of_code_of_the_us
     monkeypatch.chdir(tmp_path)
     run_suite(SMALL, ["grounded"], tracks=["ring"], episodes=1, run=Runner())
     evaluate(PolicySpec("mine", laws.Grounded), BASE, episodes=1, run=Runner(tmp_path))
-    Store(tmp_path).save(key_of(JOB), JOB, JobResult(failure="step 3: no number"))
+    Runner(tmp_path).save(key_of(JOB), JOB, JobResult(failure="step 3: no number"))
     assert not any(tmp_path.iterdir())
 
 
@@ -60,13 +60,13 @@ def damaged(whole, randomness):
 
 
 def test_a_damaged_result_is_run_again_or_gives_exactly_the_stored_numbers(tmp_path):
-    store, result = Store(tmp_path), JOB.compute()
-    store.save(key_of(JOB), JOB, result)
-    path = store.path(key_of(JOB))
+    runner, result = Runner(tmp_path), JOB.compute()
+    runner.save(key_of(JOB), JOB, result)
+    path = runner.path(key_of(JOB))
     whole, randomness, refused = path.read_bytes(), random.Random(7), 0  # noqa: S311 - damages
     for _ in range(60):
         path.write_bytes(damaged(whole, randomness))
-        found = store.find(key_of(JOB))
+        found = runner.find(key_of(JOB))
         refused += found is None
         if found is not None:
             np.testing.assert_equal(found.samples, result.samples)
@@ -74,25 +74,25 @@ def test_a_damaged_result_is_run_again_or_gives_exactly_the_stored_numbers(tmp_p
 
 
 def test_a_stored_result_of_another_job_or_form_is_run_again(tmp_path):
-    store = Store(tmp_path)
-    store.save(key_of(JOB), JOB, JOB.compute())
-    path = store.path(key_of(JOB))
+    runner = Runner(tmp_path)
+    runner.save(key_of(JOB), JOB, JOB.compute())
+    path = runner.path(key_of(JOB))
     data = json.loads(path.read_text(encoding="utf-8"))
     for change in ({"key": "0" * 64}, {"samples": 3}, {"samples": {"digits": "x"}}):
         content = {key: value for key, value in (data | change).items() if key != "checksum"}
         path.write_text(json.dumps(content | {"checksum": content_hash(content)}), encoding="utf-8")
-        assert store.find(key_of(JOB)) is None
+        assert runner.find(key_of(JOB)) is None
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 def test_a_pipe_in_the_place_of_a_result_is_replaced_by_it(tmp_path):
-    store = Store(tmp_path)
-    path = store.path(key_of(JOB))
+    runner = Runner(tmp_path)
+    path = runner.path(key_of(JOB))
     path.parent.mkdir()
     os.mkfifo(path)
-    assert store.find(key_of(JOB)) is None
-    store.save(key_of(JOB), JOB, JobResult(not_applicable="no"))
-    assert store.find(key_of(JOB)).not_applicable == "no"
+    assert runner.find(key_of(JOB)) is None
+    runner.save(key_of(JOB), JOB, JobResult(not_applicable="no"))
+    assert runner.find(key_of(JOB)).not_applicable == "no"
 
 
 def test_a_file_in_the_place_of_the_folder_is_an_error(tmp_path):
