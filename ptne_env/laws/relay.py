@@ -108,45 +108,34 @@ class RelayMemory(NamedTuple):
 class Relay(Law):
     """A law that copies estimates hop by hop, and takes best responses by an identified model of the own gradient.
 
-    In every step a player does the following.
+    docs/mathematics.md has the reasons. In every step a player does the following.
 
     1. *Noise.* A message changes by |y_k − y_{k−1}| or |y_k − 2 y_{k−1} + y_{k−2}|/√3, whichever is smaller, and the
-       largest over components and over links that have been live for three steps counts: noise has both of this size,
-       while smooth moves have small second differences. σ is the mean of that over the last full window of
-       ``patience`` steps, and before the first window ends the change in the second step.
-    2. *Sources.* :func:`~ptne_env.laws.sources.find_sources` says, from own links, messages and moves, which
-       neighbours have fresher copies of each component. As soon as the player has met the owner of a component, the
-       owner is its only source, and there is none while that link is down.
+       largest over components and over links that have been live for three steps counts. σ is its mean over the last
+       full window of ``patience`` steps, and before the first window ends the change in the second step.
+    2. *Sources.* :func:`~ptne_env.laws.sources.find_sources` says which neighbours have fresher copies of a component.
     3. *Copies.* Δx^i_c = w × mean of (x^j_c − x^i_c) over the live sources j of each component c of another player.
        Let k count the steps since σ last halved from window to window, or since a difference to the sources was above
-       3 σ, which is no noise. Up to ``patience`` such steps w = 1, and then w = p/(p + k), p being ``forgetting``.
-       Messages may be far off. So where their change in the second step was above 1e-3 of the scale, a mean above four
-       times its running median is an outlier and counts as 0, unless the one before was an outlier of the same sign.
-       Where c never had a source in max(``patience``, N) steps, as where rounding hides all, all neighbours count as
-       sources. A source that says what the player's copy was before its last move copies the player in turn; then
-       Δx^i_c is half of that, and the two meet, instead of exchanging their copies for ever.
-    4. *Identification.* :func:`~ptne_env.laws.identification.identify` updates the rows G of dF from the changes of own
-       estimates and own gradient.
+       3 σ. Up to ``patience`` such steps w = 1, and then w = p/(p + k), p being ``forgetting``. Where the change of
+       messages in the second step was above 1e-3 of the scale, a mean above four times its running median is an outlier
+       and counts as 0, unless the one before was an outlier of the same sign. Where c never had a source in
+       max(``patience``, N) steps, as where rounding hides all, all neighbours count as sources. A source that says what
+       the player's copy was before its last move copies the player in turn; then Δx^i_c is half of that, and the two
+       meet, instead of exchanging their copies for ever.
+    4. *Identification.* :func:`~ptne_env.laws.identification.identify` updates the rows G of dF.
     5. *Response.* Δx_i = −D⁻¹ (∂J_i/∂x_i + l Σ_{j≠i} G_ij Δx_j), the best response to the copies. D has the
        eigenvectors of the symmetric part of the own block G_ii, and the eigenvalues d + e (1 + T) max(0, S − d), where
-       d is the curvature (|d| plus three standard deviations where it is not certainly positive), S the largest row sum
-       of |G_ij| over all j ≠ i, and the *delay* T and the *share* e of the damping follow below. Where S ≤ d, D is G_ii
-       and l = 1, and players of one component contract in the maximum norm whatever the delays, if S < d. Where S > d
-       best responses may expand, as in games that rotate; so D damps them, and l, the least of T + ½ and the
-       eigenvalues of D over S, counts on the copies to keep moving where it is above 1. A component at a bound, which
-       did not move when it was asked to, counts as fixed for the other own ones. No component of the response is larger
-       than the trust region of the model.
-    6. *Delay.* T = F + L − 1, from 2 to 4 N. F counts the steps before there was news of every component, and goes on
-       until then; on a fixed graph it is h + m − 1, h ≥ 2 being the distance of the farthest player. But where messages
-       vary in delay or are lost, the first news travel faster than most. So the *lag* L ≥ 1 is the age, in steps, of
-       the neighbours' copies of the own strategy as heard: the sum over steps and live links of (x_i − x^j_i)·q over
-       that of δ·q, where δ is the last own move and q ← (1 − 1/T) q + δ the *trail* of own moves. That is exact for
-       steady moves, and L = 1 where neighbours copy at once what they hear, and are heard at once. Steps up to 2 F do
-       not count: neighbours may not yet have heard of any own move.
-    7. *Damping.* The damping that suffices for games that rotate is too much for others. So the *share* e, which starts
-       at 1, falls where responses creep in one direction, and rises where they turn back: e ← e exp((0.6 − |v|)/(2 T)),
-       within [1/8, 1], where v ← v + (Δx_i/|Δx_i| − v)/(3 T) is the mean direction, in the maximum norm. Steps that the
-       trust region or the input limit shortens do not count: they keep one direction whatever the damping.
+       d is the curvature (|d| plus three standard deviations where it is not certainly positive), and S the largest row
+       sum of |G_ij| over all j ≠ i. Where S ≤ d, D is G_ii and l = 1; else l is the least of T + ½ and the eigenvalues
+       of D over S. A component at a bound, which did not move when it was asked to, counts as fixed for the other own
+       ones. No component of the response is larger than the trust region of the model.
+    6. *Delay.* T = F + L − 1, from 2 to 4 N. F counts the steps before there was news of every component. L ≥ 1 is the
+       sum over steps and live links of (x_i − x^j_i)·q over that of δ·q, where δ is the last own move and
+       q ← (1 − 1/T) q + δ the *trail* of own moves. Steps up to 2 F do not count: neighbours may not yet have heard of
+       any own move.
+    7. *Damping.* e ← e exp((0.6 − |v|)/(2 T)), within [1/8, 1] and from 1 on, where v ← v + (Δx_i/|Δx_i| − v)/(3 T) is
+       the mean direction, in the maximum norm. Steps that the trust region or the input limit shortens do not count:
+       they keep one direction whatever the damping.
 
     In the first m steps, m being the largest n_i, the copies rest, and one own component after the other moves, so that
     the first changes of messages are noise alone, and the own block of dF is known at once.
