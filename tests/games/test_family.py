@@ -14,7 +14,6 @@ from ptne_env.games import (
     RandomSaturating,
     require_strong_monotonicity,
 )
-from ptne_env.shared.arrays import replace_columns
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.theory import monotonicity_constants
 from ptne_env.world.world import World
@@ -36,7 +35,12 @@ each_family = pytest.mark.parametrize("family", DRAWN.values(), ids=DRAWN.keys()
 
 
 def merge(old, fresh, mask):
-    return old.map_columns(lambda before, after: replace_columns(before, after, mask), fresh)
+    def replace(before, after):
+        result = before.copy()
+        result[..., mask] = after
+        return result
+
+    return old.map_columns(replace, fresh)
 
 
 def parameters(game):
