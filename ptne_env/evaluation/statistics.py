@@ -34,12 +34,8 @@ def estimate(scores: Scores, minus: Scores | None = None) -> Summary:
     """Return the mean over tracks of the means of a policy, with its two-level interval.
 
     Training seeds are drawn once for all tracks, because the quality of a network affects all of them; the episodes of
-    a track are drawn once for all training seeds, because all play the same ones. With V_s = var(means of the S
-    training seeds)/S, V_e = var(means of the E episodes)/E and V_c = (mean square of the interaction)/(S E), which both
-    contain, the variance of the mean is V_s + V_e − V_c, and the interval is mean ± √(t² V_s + t² max(V_e − V_c, 0))
-    with Student's quantiles at S − 1 and E − 1 degrees of freedom (Howe 1974). V_e and V_c are sums over tracks, over
-    the square of their number; the degrees of freedom of a sum are those of Satterthwaite. One training seed
-    has neither V_s nor V_c.
+    a track are drawn once for all training seeds, because all play the same ones. The interval is
+    mean ± √(t² V_s + t² max(V_e − V_c, 0)) with the variances and quantiles of docs/protocol.md (Howe 1974).
 
     Args:
         scores: per track, with the same training seeds in all tracks; NaN where an episode has no value. V_s is that of

@@ -27,12 +27,9 @@ class CostGame(Game):
     last axis; a function may also return a list of N rows. ``x1, x2 = x`` are the components of two players with one
     each. Player i's cost is evaluated at its own estimate of x, so that no player needs to know more.
 
-    Derivatives have all digits. Arrays of numpy are differentiated by a complex step, x + i h with h = 1e-20: the
-    costs are then evaluated at complex numbers, so they are formulas of ``+ − × / **``, ``np.exp``, ``np.sqrt`` and so
-    on, with ``np.where`` and comparisons, which see real parts. Arrays of JAX are differentiated by JAX, in which costs
-    compute with the library of their argument, ``xp = x.__array_namespace__()``. So do, if JAX is installed, costs
-    whose complex step differs from a difference of costs at sampled points, as with ``abs(x)``. Which of the two it is
-    depends on the costs alone, and both agree to 1e-12.
+    Derivatives have all digits. Arrays of JAX are differentiated by JAX, and arrays of numpy by a complex step, or by
+    JAX (if installed) where that differs from a difference of costs at sampled points, as with ``abs(x)``; both agree
+    to 1e-12. docs/adding-parts.md says how costs are written for that.
 
     Attributes:
         function: the costs, unless a subclass writes them. Scenarios keep its name, so it is defined in a module, a

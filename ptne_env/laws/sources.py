@@ -43,15 +43,12 @@ def find_sources(
 ) -> tuple[BoolArray, Contacts]:
     """Find the neighbours that have fresher copies of each component.
 
-    A *contact* is a time in which a link is live without a break. At its start, player i compares how far its own copy
-    of component c and the neighbour's copy have moved since the last contact, at the end of which they knew each other.
-    If only one copy has moved, it is the fresher copy, and the neighbour gets a vote for it or against it. If both have
-    moved, the votes decide; with equal votes, the copy that has moved further is the fresher copy. In the first contact
-    a player that has no news of c takes the neighbour's copy. During a contact, the neighbour becomes a source when its
-    copy moves by more than noise while no source is live, unless it repeats the own moves of the step before. While a
-    source is live, no move is news: messages that are late, or overtake each other, would let players who copy the
-    player seem fresher, and two who follow each other never hear of the owner again. As soon as the player has met the
-    owner of a component, the owner is its only source.
+    A *contact* is a time in which a link is live without a break. At its start, of the two copies of a component the
+    one that moved since the last contact is the fresher one; if both have moved, the votes of earlier contacts decide,
+    and with equal votes the longer move (docs/mathematics.md). In the first contact a player that has no news of c
+    takes the neighbour's copy. During a contact, the neighbour becomes a source when its copy moves by more than noise
+    while no source is live, unless it repeats the own moves of the step before. As soon as the player has met the owner
+    of a component, the owner is its only source.
 
     On a fixed graph whose links may add constants to messages, the sources are the neighbours nearer to the owner.
 

@@ -191,8 +191,7 @@ def largest_stable_step(matrix: FloatArray) -> float | None:
 def gain_growth(transformation: TimeTransformation) -> float:
     """Return the p with which 1/λ'(s) grows like e^{p s}: 1 for the paper's λ, 2 for tanh, 0 for the rational λ.
 
-    An error that decays like e^{−r s} has a velocity g(t) u that is bounded for r > p, also for r = p > 0 unless M has
-    Jordan blocks there, and unbounded for r < p; ∫‖g u‖² dt is finite for r > p/2.
+    docs/theory.md says for which rates r of e^{−r s} the velocity g(t) u is bounded, and ∫‖g u‖² dt finite.
     """
     instants = 300 / 2.0 ** np.arange(12)
     shown = transformation.derivative(instants) > 1e-250 * transformation.deadline  # the others may have underflowed

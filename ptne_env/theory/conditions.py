@@ -268,11 +268,9 @@ def condition(law: Law, constants: ProblemConstants) -> Condition | None:
 def coupling_radius(jacobian: FloatArray, owners: IntArray) -> float:
     """Return ρ(B) with B_ij = ‖G_ii⁻¹ G_ij‖, G = dF; below 1, best-response play settles for every delay.
 
-    B_ii is 0. With v > 0 the Perron vector, B v ≤ ρ v: best responses to copies with errors ‖e_j‖ ≤ r v_j, however
-    late, have errors ‖e_i‖ ≤ ρ r v_i. As soon as all older copies are gone, all errors are within the smaller box, and
-    so on: the errors vanish for delays that change and differ, as long as every copy is renewed again and again (D. P.
-    Bertsekas and J. N. Tsitsiklis, "Parallel and Distributed Computation", 1989, Section 6.2). With an owner per
-    component, so do those of gradient play with steps η dF_cc ≤ 1.
+    B_ii is 0. It holds for delays that change and differ, as long as every copy is renewed again and again: D. P.
+    Bertsekas and J. N. Tsitsiklis, "Parallel and Distributed Computation", 1989, Section 6.2; docs/theory.md has the
+    argument. With an owner per component, gradient play with steps η dF_cc ≤ 1 settles, too.
 
     Args:
         jacobian: dF, shape (n, n).
