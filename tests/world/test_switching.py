@@ -4,6 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+import ptne_env
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world import graphs, switching
 from ptne_env.world.graphs import Graph
