@@ -10,6 +10,7 @@ from time import time
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 try:
     from stable_baselines3.common.monitor import Monitor
@@ -17,6 +18,7 @@ try:
 except ImportError as error:  # pragma: no cover - exercised in an environment without the extra
     raise ImportError('the Stable-Baselines3 adapter needs an extra: pip install "ptne-env[sb3]"') from error
 
+from ptne_env.envs.rendering import Renderer
 from ptne_env.envs.simulation import require_options
 from ptne_env.envs.vector import VectorParallelEnv, VectorStep
 from ptne_env.shared.arrays import BoolArray, Float32Array, as_plain, require_count
@@ -44,6 +46,7 @@ class PlayerVecEnv(VecEnv):
         scenario: a name, as for :func:`ptne_env.get_scenario`, or a scenario.
         num_envs: B, the number of environments; the ``num_envs`` of the VecEnv is B·N.
         seed: the seed of the first reset; environment b gets seed + b.
+        render_mode: ``"rgb_array"`` for pictures of environment 0, as ``VecVideoRecorder`` takes them, or ``None``.
         **arguments: those of :class:`~ptne_env.envs.vector.VectorParallelEnv`, among them fields of the scenario.
 
     Attributes:
@@ -57,10 +60,16 @@ class PlayerVecEnv(VecEnv):
         num_envs: int = 1,
         *,
         seed: int | None = None,
+        render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"unknown render_mode {render_mode!r}; choose None or 'rgb_array'")
         self.vector = VectorParallelEnv(scenario, num_envs, **arguments)
         self.layout = self.vector.layout
+        self.render_mode = render_mode
+        self._pictured = self.vector._blocks[0]  # noqa: SLF001 - its first environment is number 0
+        self._renderer = Renderer(self._pictured.encoder.world, render_mode) if render_mode else None
         self._players = self.vector.num_players
         self._actions = np.empty(0)
         self._began = time()
@@ -95,6 +104,8 @@ class PlayerVecEnv(VecEnv):
         observations, _ = self.vector.reset(self._seeds[:: self._players], estimates=estimates)
         self._returns[:], self._lengths[:] = 0, 0
         self.reset_infos = [{} for _ in range(self.num_envs)]
+        if self._renderer is not None:
+            self._renderer.reset(self._pictured.current)
         self._reset_seeds()
         self._reset_options()
         return observations.reshape(self.num_envs, -1)
@@ -125,6 +136,8 @@ class PlayerVecEnv(VecEnv):
                 infos[member] = self._last_info(outcome, member)
             self._returns[dones], self._lengths[dones] = 0, 0
             observations, _ = self.vector.reset(mask=over)
+        if self._renderer is not None:
+            (self._renderer.reset if over[0] else self._renderer.record)(self._pictured.current)
         return observations.reshape(self.num_envs, -1), rewards, dones, infos
 
     def _last_info(self, outcome: VectorStep, member: int) -> dict[str, Any]:
@@ -138,12 +151,16 @@ class PlayerVecEnv(VecEnv):
             **{name: info[env] if info.ndim == 1 else info[env, player] for name, info in outcome.infos.items()},
         }
 
+    def get_images(self) -> list[npt.NDArray[np.uint8] | None]:
+        """Return the picture of environment 0, from which ``render`` of Stable-Baselines3 makes its own."""
+        return [] if self._renderer is None else [self._renderer.draw()]
+
     def close(self) -> None:
         """Do nothing; there is nothing to release."""
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Return the attribute once per requested member."""
-        value, members = getattr(self.vector, attr_name), list(self._get_indices(indices))
+        value, members = getattr(self._owner(attr_name), attr_name), list(self._get_indices(indices))
         if attr_name in TRUE_STATE:
             return [value[member // self._players].copy() for member in members]
         return [value] * len(members)
@@ -156,7 +173,7 @@ class PlayerVecEnv(VecEnv):
         """
         if self._count(indices) != self.num_envs:
             raise ValueError("the members share one environment object: an attribute is set for all of them or none")
-        setattr(self.vector, attr_name, value)
+        setattr(self._owner(attr_name), attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
@@ -167,6 +184,10 @@ class PlayerVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
         """Return whether the members report as this wrapper does, which is true of ``Monitor`` alone."""
         return [wrapper_class is Monitor] * self._count(indices)
+
+    def _owner(self, name: str) -> Any:
+        """Return the object that has the attribute."""
+        return self if name == "render_mode" else self.vector
 
     def _count(self, indices: Indices) -> int:
         return len(list(self._get_indices(indices)))

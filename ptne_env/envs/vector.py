@@ -72,8 +72,6 @@ class VectorParallelEnv:
         TypeError, ValueError: as :func:`ptne_env.parallel_env`.
     """
 
-    render_mode = None  # there are no pictures, says the attribute for which wrappers ask
-
     def __init__(
         self,
         scenario: str | Scenario = "energy",

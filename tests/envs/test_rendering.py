@@ -7,7 +7,7 @@ from functools import partial
 import networkx as nx
 import numpy as np
 import pytest
-from extras import need_matplotlib
+from extras import need_matplotlib, need_sb3
 from worlds import BLOCKS, constant_actions, make_env
 
 need_matplotlib()
@@ -47,6 +47,25 @@ def test_picture_follows_the_episode_and_is_reproducible():
     assert np.array_equal(picture("energy", steps=5), picture("energy", steps=5))
     assert not np.array_equal(picture("energy", steps=5), picture("energy", steps=200))
     assert not np.array_equal(picture("energy", steps=50), picture("energy", steps=50, action=-1.0))
+
+
+def test_members_of_stable_baselines3_have_the_picture_of_their_first_environment():
+    need_sb3()
+    from ptne_env.envs.sb3 import PlayerVecEnv
+
+    with pytest.raises(ValueError, match="unknown render_mode 'human'; choose None or 'rgb_array'"):
+        PlayerVecEnv("random-energy", render_mode="human")
+    members = PlayerVecEnv("random-energy", 2, seed=3, render_mode="rgb_array", max_cycles=3)
+    env = make_env("random-energy", render_mode="rgb_array", interface="scaled")
+    for actions in (None, 1.0, -1.0, 0.5, 1.0):  # the third step ends an episode
+        if actions is None:
+            members.reset(), env.reset(seed=3)
+        else:
+            _, _, over, _ = members.step(np.full((10, members.layout.action_size), actions, dtype=np.float32))
+            env.step(constant_actions(env, actions))
+            if over[0]:
+                env.reset()
+        assert np.array_equal(members.render(), env.render())
 
 
 def test_picture_shows_the_live_links():
