@@ -10,6 +10,7 @@ the reward is the mean over players. Registered as ``ptne/<scenario>-joint-v0``:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
@@ -17,6 +18,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -68,7 +70,27 @@ def _forward(wrapped: str, *names: str) -> tuple[Any, ...]:
     return tuple(property(attrgetter(f"{wrapped}.{name}"), doc=f"See ``{wrapped}``.") for name in names)
 
 
-class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
+class _HasReadableSpec:
+    """An environment whose spec holds data in place of parts, scenarios and interfaces, so that JSON has it all."""
+
+    scenario: Scenario
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """The spec with which Gymnasium made the environment, if it did."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            parts = {name: getattr(self.scenario, name, value) for name, value in spec.kwargs.items()}
+            arguments = {name: getattr(value, "to_dict", lambda value=value: value)() for name, value in parts.items()}
+            spec = replace(spec, kwargs=arguments)
+        self._spec = spec
+
+
+class JointEnv(_HasReadableSpec, gymnasium.Env[Float32Array, Float32Array]):
     """One environment with one agent that acts for all players; arguments are those of :func:`ptne_env.parallel_env`.
 
     The info has the same keys and dtypes after a reset and after every step: those of
@@ -137,7 +159,7 @@ class JointEnv(gymnasium.Env[Float32Array, Float32Array]):
         self.parallel.close()
 
 
-class JointVectorEnv(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
+class JointVectorEnv(_HasReadableSpec, gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
     """B environments with one agent each, stepped together, for ``gymnasium.make_vec``.
 
     Infos hold arrays of shape (B,) of the entries of :class:`JointEnv`'s info, each with a mask ``_name`` of the

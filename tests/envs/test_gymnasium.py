@@ -1,6 +1,7 @@
 """The joint view as Gymnasium's users meet it: by id, alone, in a vector, under every autoreset mode."""
 
 import gymnasium
+import networkx as nx
 import numpy as np
 import pytest
 from extras import need_matplotlib, need_sb3
@@ -10,8 +11,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from worlds import BLOCKS, make_env
 
 import ptne_env
-from ptne_env import CATALOGUE, FactorySpec, Interface, get_scenario
+from ptne_env import CATALOGUE, Interface, get_scenario
 from ptne_env.envs.gymnasium import JointEnv, JointVectorEnv
+from ptne_env.games import RandomEnergy
 from ptne_env.world.channels import Loss
 from ptne_env.world.world import World
 
@@ -28,7 +30,8 @@ class Quiet(Loss):
 @pytest.mark.parametrize(
     "arguments",
     [
-        {"channel": FactorySpec.of(Quiet, probability=0.5), "game": "random-energy(players=5)", "steps": 30},
+        {"channel": Quiet(0.5), "topology": nx.cycle_graph(5), "start": "random"},
+        {"topology": nx.to_numpy_array(nx.star_graph(4)), "game": RandomEnergy(players=5), "steps": 30},
         {"scenario": get_scenario("random-energy", steps=30), "interface": Interface("physical"), "players": 6},
         {"interface": Interface("scaled", fields=("own_gradient", "clock"))},
     ],
