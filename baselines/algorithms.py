@@ -1,7 +1,7 @@
 """The algorithms of reinforcement learning, trained on every track: ``python -m baselines.algorithms COMMAND``.
 
     tune [ALGORITHM]...     other settings of each algorithm beside the defaults, for fewer agent-steps on two tracks
-    train [ALGORITHM]...    the defaults with several seeds on every track of ptne-v1; PPO for 20 M agent-steps, or for
+    train [ALGORITHM]...    its settings with several seeds on every track of ptne-v1; PPO for 20 M agent-steps, or for
                             50 M where the last fifth of those gained or lost 0.05 digits or more, and SAC for 2 M
     publish                 play what was trained on the test episodes, and replace its rows in ``algorithms.csv``, its
                             learning curves in ``curves.csv``, and the files of ``ppo`` by those seeds of PPO that
@@ -16,7 +16,7 @@ import argparse
 import csv
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
 from time import process_time
@@ -87,6 +87,7 @@ class Plan(NamedTuple):
         trial_steps: the agent-steps of a trial.
         trials: the settings that are tried beside the defaults.
         ships: whether its seeds may become the files of ``ppo``.
+        settings: by track, those that are not the defaults.
     """
 
     budgets: tuple[int, ...]
@@ -94,6 +95,7 @@ class Plan(NamedTuple):
     trial_steps: int
     trials: Sequence[Settings]
     ships: bool
+    settings: Mapping[str, Settings] = {}
 
 
 _PPO = Plan((20_000_000, 50_000_000), range(5), 5_000_000, candidates(20), ships=True)
@@ -107,8 +109,10 @@ _SAC_TRIALS = (
     {"log_std": -2.4, "learning_rate": 3e-4},
     {"log_std": -2.4, "minibatches": 1, "epochs": 12},
 )
+_SLOWER = {"market-118": {"learning_rate": 1e-3}}  # with the default its actions of 54 numbers change too fast
 PLANS = {
-    **dict.fromkeys(("ippo", "ippo-rnn", "mappo-rnn"), _PPO),
+    "ippo": _PPO,
+    **dict.fromkeys(("ippo-rnn", "mappo-rnn"), _PPO._replace(settings=_SLOWER)),
     "sb3-sac": Plan((2_000_000,), range(2), 400_000, _SAC_TRIALS, ships=False),
 }
 """The algorithms that are trained."""
@@ -171,7 +175,8 @@ def train(algorithms: Sequence[str], out: Path, jobs: int) -> None:
                 steps = plan.budgets[0 if is_flat else -1]
                 for seed in plan.seeds[:last]:
                     folder = folder_of(algorithm, track, steps, out) / f"seed-{seed}"
-                    runs.append((track, algorithm, folder, {"steps": steps, "seed": seed}))
+                    settings = {"steps": steps, "seed": seed, **plan.settings.get(track, {})}
+                    runs.append((track, algorithm, folder, settings))
         train_all(sorted(runs, key=lambda run: (run[3]["seed"], run[3]["steps"])), jobs)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -61,12 +61,8 @@ class Reproduction:
         }
 
 
-def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = None) -> Reproduction:
-    """Run every experiment of the paper and write its table, figures and claims to ``out``.
-
-    Args:
-        out: directory for the figures (SVG) and ``results.json``; created if missing.
-        progress: called as ``progress(done, total, part)`` before each part and at the end.
+def reproduce(out: Path) -> Reproduction:
+    """Run every experiment of the paper, and write its table, figures (SVG) and claims to the folder ``out``.
 
     Raises:
         ImportError: naming the extra to install when matplotlib is missing.
@@ -75,27 +71,16 @@ def reproduce(out: Path, *, progress: Callable[[int, int, str], None] | None = N
     if out.exists() and not out.is_dir():
         raise NotADirectoryError(f"{out} is a file; name a directory to write the figures to")
     out.mkdir(parents=True, exist_ok=True)
-    experiments, total, done = Experiments(), 1 + len(CHECKS) + len(FIGURES), 0
-
-    def announce(part: str) -> None:
-        nonlocal done
-        if progress is not None:
-            progress(done, total, part)
-        done += 1
-
-    announce("Table I")
-    table = table_one(experiments)
-    claims: list[Claim] = []
-    for check in CHECKS:
-        announce(check.__name__.replace("_", " ").capitalize())
-        claims += check(experiments)
-    figures: list[Path] = []
-    for spec in FIGURES:
-        announce(f"Figure {spec.name}")
-        figures.append(out / f"{spec.name}.svg")
-        write_atomically(figures[-1], draw(spec, experiments))
-    announce("Done")
-    reproduction = Reproduction(table, tuple(claims), tuple(figures))
+    experiments, claims, figures, total = Experiments(), list[Claim](), list[Path](), len(CHECKS) + len(FIGURES)
+    with progress("reproducing") as advance:
+        for done, check in enumerate(CHECKS):
+            advance(check.__name__.replace("_", " ").capitalize(), done, total)
+            claims += check(experiments)
+        for done, spec in enumerate(FIGURES, len(CHECKS)):
+            advance(f"Figure {spec.name}", done, total)
+            figures.append(out / f"{spec.name}.svg")
+            write_atomically(figures[-1], draw(spec, experiments))
+    reproduction = Reproduction(table_one(experiments), tuple(claims), tuple(figures))
     text = json.dumps(reproduction.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
     write_atomically(out / "results.json", text + "\n")
     return reproduction
@@ -137,8 +122,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("results/paper"))
     out = parser.parse_args().out
-    with progress("reproducing") as advance:
-        reproduction = reproduce(out, progress=lambda done, total, part: advance(part, done, total))
+    reproduction = reproduce(out)
     screen = console()
     screen.print(draw_table_one(reproduction, screen.width), *draw_verdicts(reproduction), sep="\n")
     print(f"{len(reproduction.figures)} figures and results.json written to {out}")

@@ -97,9 +97,8 @@ def main() -> None:
     for name in given.law or TUNED:
         rows.append(search(name, given.episodes, given.generations, runner))
         print(*rows[-1].values(), sep="  ", flush=True)
-    if given.law:
-        return
-    write_rows(OUTPUT, rows, COLUMNS)
+    if not given.law:
+        write_rows(OUTPUT, rows, COLUMNS)
 
 
 if __name__ == "__main__":

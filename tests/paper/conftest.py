@@ -6,14 +6,14 @@ from baselines.paper.experiments import Experiments
 
 @pytest.fixture(scope="session")
 def built(build_once, tmp_path_factory):
-    """The paper's runs, a reproduction from them, and the reports of its progress."""
+    """The paper's runs, and a reproduction from them."""
 
     def build():
-        experiments, reports = Experiments(), []
+        experiments = Experiments()
         out = tmp_path_factory.mktemp("reproduction") / "new" / "folder"
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(reproduce, "Experiments", lambda: experiments)
-            return experiments, reproduce.reproduce(out, progress=lambda *report: reports.append(report)), reports
+            return experiments, reproduce.reproduce(out)
 
     return build_once("paper", build)
 
@@ -26,11 +26,11 @@ def experiments(built):
 
 @pytest.fixture(scope="session")
 def reproduction(built):
-    """A reproduction, and the reports of its progress."""
-    return built[1:]
+    """A reproduction."""
+    return built[1]
 
 
 @pytest.fixture(scope="session")
 def claims(reproduction):
     """All claims and errata by name."""
-    return {claim.name: claim for claim in reproduction[0].claims}
+    return {claim.name: claim for claim in reproduction.claims}
