@@ -173,3 +173,10 @@ def data_frame(content: Any) -> Any:
 def row_maxima(array: FloatArray) -> FloatArray:
     """Return the largest entry along the last axis, (..., k) to (...)."""
     return fold(np.maximum, array, -1) if array.shape[-1] <= 16 else np.maximum.reduce(array, axis=-1)
+
+
+def replace_columns(old: Array, fresh: Array, mask: BoolArray) -> Array:
+    """Return a copy of ``old`` whose columns in ``mask`` (B,) are replaced, in order, by those of ``fresh``."""
+    result = old.copy()
+    result[..., mask] = fresh
+    return result

@@ -200,13 +200,12 @@ def proximal_condition(law: ProximalBestResponse, constants: ProblemConstants) -
     W = I − h L. That operator is α times the one of Theorem 1 with κ = h/α, so the gain condition makes it restricted
     strongly monotone, and 𝐱 converges linearly where I + W is positive definite.
     """
-    largest_degree = max(float(graph.laplacian.diagonal().max()) for graph in constants.graphs)
     return decisive(
         "Bianchi, Belgioioso and Grammatico (2019)",
         _undirected(constants),
         _fixed_graph(constants),
         _no_bounds(constants, unless_alone=True),
-        Condition.below("W is stochastic: h max Σ_j a_ij < 1", law.mixing * largest_degree, 1.0),
+        Condition.below("W is stochastic: h max Σ_j a_ij < 1", law.mixing * constants.largest_degree, 1.0),
         _gain_condition(law.mixing / law.step, constants),
     )
 

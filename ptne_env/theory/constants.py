@@ -129,6 +129,11 @@ class ProblemConstants(MonotonicityConstants):
         """The number of modes that are directed."""
         return sum(graph.is_directed for graph in self.graphs)
 
+    @property
+    def largest_degree(self) -> float:
+        """The largest Σ_j a_ij over players and modes."""
+        return max(float(graph.laplacian.diagonal().max()) for graph in self.graphs)
+
 
 def problem_constants(world: World) -> ProblemConstants:
     """Return the constants of a world; of a family of games, those of its representative."""

@@ -16,7 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ptne_env.games import Game
-from ptne_env.shared.arrays import BoolArray, FloatArray, IntArray, array_namespace, is_numpy, without_gradient
+from ptne_env.shared.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    array_namespace,
+    is_numpy,
+    replace_columns,
+    without_gradient,
+)
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.world.channels import LinkRandomness, Memory, Messages
 from ptne_env.world.disturbances import Disturbance
@@ -203,13 +211,7 @@ def step(world: World, state: State, inputs: FloatArray) -> State:
 
 def merge(state: State, fresh: State, mask: BoolArray) -> State:
     """Replace the environments in ``mask`` (B,), in order, by all those of ``fresh``."""
-
-    def replace(old: Any, new: Any) -> Any:
-        result = old.copy()
-        result[..., mask] = new
-        return result
-
-    return _map_arrays(replace, state, fresh)
+    return _map_arrays(lambda old, new: replace_columns(old, new, mask), state, fresh)
 
 
 def concatenate(states: Sequence[State]) -> State:

@@ -14,6 +14,7 @@ from ptne_env.games import (
     RandomSaturating,
     require_strong_monotonicity,
 )
+from ptne_env.shared.arrays import replace_columns
 from ptne_env.shared.random_streams import RandomStreams
 from ptne_env.theory import monotonicity_constants
 from ptne_env.world.world import World
@@ -35,12 +36,7 @@ each_family = pytest.mark.parametrize("family", DRAWN.values(), ids=DRAWN.keys()
 
 
 def merge(old, fresh, mask):
-    def replace(before, after):
-        result = before.copy()
-        result[..., mask] = after
-        return result
-
-    return old.map_columns(replace, fresh)
+    return old.map_columns(lambda before, after: replace_columns(before, after, mask), fresh)
 
 
 def parameters(game):
