@@ -570,5 +570,5 @@ def test_a_training_says_whether_its_last_fifth_still_gained(run, monkeypatch):
     assert "2.00 digits on 200 validation episodes, after 1 s; policy.npz written to trained/seed-0" in printed
     assert "The last fifth of the training gained 0.00 digits\n" in printed
     assert "The last fifth of the training gained 0.10 digits: more --steps gain more\n" in printed
-    assert "The last fifth of the training lost 0.50 digits: try another --seed, or " in printed
+    assert "The last fifth of the training lost 0.50 digits: try another --seed or a smaller learning_rate\n" in printed
     assert "ptne compare energy --policy 'static,trained=trained/seed-*/policy.npz'" in printed

@@ -366,5 +366,5 @@ def test_a_curved_constraint_satisfies_the_conditions_of_the_variational_equilib
 
 
 def test_wrong_constraints_are_named():
-    with pytest.raises(ValueError, match=re.escape("is a function of x or a matrix (m, 5), got (1, 4) for 1 games")):
+    with pytest.raises(ValueError, match=re.escape("is a function of x or a matrix (m, 5), got (1, 4)")):
         price_constraint(CostGame(energy_costs, (1,) * 5), np.ones((1, 4)))
