@@ -217,9 +217,8 @@ def play(out: Path, name: str, tracks: Iterable[str]) -> dict[str, Any]:
 def table(out: Path) -> None:
     """Play all seeds on the suite, and the networks that lack a mechanism on its track; fill ``learned.md``."""
     digits = play(out, TRAINED, [track.name for track in get_suite("ptne-v1").tracks])
-    headings = ["track", f"mean of {len(digits['nominal'])} seeds", "standard deviation"]
     rows = [[track, f"{means.mean():.2f}", f"{means.std(ddof=1):.2f}"] for track, means in digits.items()]
-    parts = {"spread": markdown(headings, rows)}
+    parts = {"spread": markdown(["track", f"mean of {len(digits['nominal'])} seeds", "standard deviation"], rows)}
     complete, rows = play(out, f"{TRAINED}-without-nothing", LEFT_OUT), []
     for track in LEFT_OUT:
         lacking = play(out, f"{TRAINED}-without-{track}", [track])[track]
