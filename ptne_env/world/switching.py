@@ -112,13 +112,13 @@ class SwitchingTopology(Part):
         return self.period / len(self.graphs)
 
     def schedule(self, instants: npt.ArrayLike) -> Schedule:
-        """Return the schedule at ``instants`` ≥ 0 (any shape) of the topology's clock.
+        """Return the schedule at ``instants`` (any shape) of the topology's clock.
 
         Raises:
-            ValueError: when every episode draws its own schedule.
+            ValueError: when an instant is negative, or every episode draws its own schedule.
         """
         self._require_certain("schedule")
-        times = np.asarray(instants, dtype=np.float64)
+        times = _instants(instants)
         if self.is_fixed:
             return Schedule(np.zeros(times.shape, dtype=np.int64), np.zeros(times.shape))
         ends, phase = np.cumsum(self.mode_dwells), np.mod(times, self.period)
@@ -192,7 +192,7 @@ class RandomTopology(SwitchingTopology):
         return self.dwell_range[0]
 
     def draw(self, instants: npt.ArrayLike, generators: Sequence[np.random.Generator]) -> Schedule:
-        times, (shortest, longest) = np.asarray(instants, dtype=np.float64), self.dwell_range
+        times, (shortest, longest) = _instants(instants), self.dwell_range
         # The largest possible number of dwells, so that the draws depend on the episode's length alone.
         count = int(np.max(times, initial=0.0) / shortest) + 2
         choices, unit = np.stack([generator.random((2, count)) for generator in generators], axis=-1)
@@ -295,3 +295,10 @@ def paper_topology(dwell: float = 0.1, clock: TopologyClock = "physical") -> Swi
     """
     pairs = [[(0, 1), (2, 3)], [(1, 2), (3, 4)], [(2, 3), (4, 0)], [(3, 4), (0, 1)]]
     return SwitchingTopology([from_edges(5, pair) for pair in pairs], [dwell] * 4, clock)
+
+
+def _instants(instants: npt.ArrayLike) -> FloatArray:
+    times = np.asarray(instants, dtype=np.float64)
+    if times.size and times.min() < 0:
+        raise ValueError(f"a topology starts at 0, got the instant {times.min()}")
+    return times

@@ -234,6 +234,8 @@ def test_random_topology_has_no_schedule_without_a_draw():
     for call in (lambda: topology.schedule([0.0]), lambda: topology.switches(0, 1)):
         with pytest.raises(ValueError, match="is random and has no"):
             call()
+    with pytest.raises(ValueError, match="starts at 0"):
+        topology.draw([-1.0, 0.0], generators(1))
 
 
 @pytest.mark.parametrize(
