@@ -166,7 +166,7 @@ def headline(numbers: Published) -> str:
         for policy in (name, PPO, TRAINED):
             lead = summary(numbers.cell("ptne-v1", track, policy, LEAD))
             text = f"{plain(numbers.cell('ptne-v1', track, policy))}{f' {name}' * (policy == name)}"
-            cells.append(f"**{text}**" if lead and lead.low is not None and lead.low > 0 else text)
+            cells.append(f"**{text}**" if lead and lead.is_above_zero else text)
         rows.append(["**score**" if track == ALL else track, *cells])
     columns = "the paper's law", "best law", "PPO trained on the track", "one network for all tracks"
     return markdown(["track", *columns], rows)

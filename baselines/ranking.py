@@ -53,7 +53,7 @@ def leads(results: Results) -> list[str]:
     for track in results.counted_tracks:
         first, second, *_ = [name for name in results.ranked(track) if results.policies[name].is_ranked]
         lead = results.difference(first, second, track)
-        verb = "leads" if lead.low is not None and lead.low > 0 else "cannot be told from"
+        verb = "leads" if lead.is_above_zero else "cannot be told from"
         lines.append(f"{track}: {first} {verb} {second}, by {with_interval(interval_of(lead))}")
     return lines
 

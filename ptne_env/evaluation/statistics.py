@@ -29,6 +29,11 @@ class Summary:
     low: float | None
     high: float | None
 
+    @property
+    def is_above_zero(self) -> bool:
+        """Whether the whole interval is above 0, which of a difference says that one policy leads the other."""
+        return self.low is not None and self.low > 0
+
 
 def estimate(scores: Scores, minus: Scores | None = None) -> Summary:
     """Return the mean over tracks of the means of a policy, with its two-level interval.

@@ -16,6 +16,7 @@ from ptne_env.shared.arrays import BoolArray, FloatArray, array_namespace, order
 from ptne_env.shared.parts import checked
 
 _Constraint: TypeAlias = npt.ArrayLike | Callable[[Any], Any]
+_OPERATOR = "the operator of others is one more player of their costs, who pays -price * g(x)"
 
 
 def price_constraint(game: Game, constraint: _Constraint, limit: npt.ArrayLike = 0.0) -> QuadraticGame | PricedGame:
@@ -49,8 +50,7 @@ def price_constraint(game: Game, constraint: _Constraint, limit: npt.ArrayLike =
     if not isinstance(given, Game):
         raise ValueError(
             f"the players are those of one game, got a {type(given).__name__}; a family of affine games goes into "
-            "CoupledConstraint, and the operator of other games is one more player of their costs, who pays "
-            "-price * g(x)"
+            f"CoupledConstraint, and {_OPERATOR}"
         )
     if callable(constraint) or not game.is_affine:
         return PricedGame(game=game, constraint=constraint, limit=limit)
@@ -92,8 +92,7 @@ class PricedGame(CostGame):
         if self.game.batch_size != 1:
             raise ValueError(
                 f"several games have a price together where they are affine and the constraint is a matrix, got "
-                f"{self.game.batch_size} games; the operator of others is one more player of their costs, who pays "
-                "-price * g(x)"
+                f"{self.game.batch_size} games; {_OPERATOR}"
             )
         if not (callable(self.constraint) or shape[1:] == (n,)):
             raise ValueError(

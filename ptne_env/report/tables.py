@@ -168,8 +168,7 @@ def answer(results: Results) -> tuple[str, ...]:
 def _leads(results: Results, best: str, other: str) -> bool:
     """Return whether a policy with more digits leads another one on average over its tracks; one episode decides."""
     lead = results.difference(best, other, _list_tracks(results, best))
-    least = lead.mean if lead.low is None else lead.low
-    return least is not None and least > 0
+    return lead.is_above_zero or (lead.low is None and lead.mean is not None and lead.mean > 0)
 
 
 def _compare(results: Results, best: str, other: str, noun: str) -> str:
@@ -182,7 +181,7 @@ def _compare(results: Results, best: str, other: str, noun: str) -> str:
     if difference.low is None or difference.high is None:
         return f"{best} is {difference.mean:.2f} digits ahead of {name} {where}; one episode has no interval."
     digits = f"{difference.mean:.2f} digits [{difference.low:.2f}, {difference.high:.2f}] {where}"
-    if difference.low > 0:
+    if difference.is_above_zero:
         return f"{best} leads {name} by {digits}."
     return f"{best} and {name} cannot be told apart: they differ by {digits}."
 

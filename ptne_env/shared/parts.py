@@ -412,7 +412,7 @@ class FactorySpec:
             advice = f"; name it with arguments, {ways}" * (not names)
             if isinstance(target, type | FunctionType) and "unexpected keyword" in str(error):
                 taken = signature(target).parameters
-                for name in arguments.keys() - taken:
+                for name in sorted(arguments.keys() - taken):
                     reason = f"has no argument {name!r}; {suggestion(name, taken)}"
                     raise ValueError(f"part {self.target!r} {reason}") from error
             raise ValueError(f"part {self.target!r} refuses its arguments {names}: {error}{advice}") from error
