@@ -241,7 +241,7 @@ def _measure(observation: Observation, was: Noise, steps: FloatArray, owned: Boo
     largest_change = np.where(is_known, largest_change, 0.0)
     return was._replace(
         last=content,
-        before=was.last,
+        before=was.last.copy(),  # a memory shares nothing with the one before
         age=age,
         total=was.total + largest_change,
         number=was.number + is_known,

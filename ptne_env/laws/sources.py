@@ -82,11 +82,10 @@ def find_sources(
     wakes &= (links & linked)[:, :, None]
 
     # At the start of a contact, of few links in most steps.
-    votes, starts = was.votes, np.nonzero(links & ~linked)
+    votes, starts = was.votes.copy(), np.nonzero(links & ~linked)
     if starts[0].size:
         rows, first = starts[0], ~met[starts]
         i_has, j_has = i_moved[starts] > floor[starts], j_moved[starts] > floor[starts]
-        votes = votes.copy()
         votes[starts] += np.where(first, 0, j_has.astype(np.int64) - i_has)
         judgement = votes[starts]
         both = np.where(judgement == 0, j_moved[starts] > i_moved[starts], judgement > 0)

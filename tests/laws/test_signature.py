@@ -75,6 +75,7 @@ def test_predict_answers_one_row_each_and_repeats_itself(scenario, law):
     if memory is not None:  # it is left alone
         for each, others in ((memory, kept[1]), (after, after_again)):
             assert all(map(np.array_equal, arrays(each), arrays(others)))
+        assert not any(np.shares_memory(new, old) for new in arrays(after) for old in arrays(memory))
 
     for row in (0, 4):  # a single observation gives a single action
         action, alone = law(layout).predict(observations[row])
